@@ -1,0 +1,1 @@
+"""Simulator for the method of regularized Stokeslets; built on `treecode`, still empty."""

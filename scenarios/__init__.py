@@ -1,0 +1,1 @@
+"""Scenes that run: one module each, to read and to copy. Still empty."""

@@ -1,0 +1,338 @@
+"""Taylor treecode: Cartesian expansions about the centres of clusters (T sections 3 to 5).
+
+All kernels here are made of derivatives of one function, psi = 1/R with R^2 = |x - y|^2 + eps^2
+(eps = 0 gives the singular kernels of T). The recurrence T eq. (15) gives the derivatives
+of psi, because it holds with R in place of the distance. With chi = psi + eps^2 psi^3 / 2 and
+nabla = d/dy, r = x - y::
+
+    regularized Stokeslet  u = (2 chi - psi) f + (r . f) nabla psi
+    rotlet, and w from f   n x nabla chi,  f x nabla chi
+    w from n               [(n . nabla) nabla chi - n nabla^2 chi] / 2
+
+and chi = [3 psi - (r . nabla) psi] / 2 needs no power of psi but the first. Derivatives are not
+divided by factorials here; the moments are.
+
+A factor r = (x - centre) - (y - centre) in front of a derivative splits into a factor of the
+target and one that goes into moments of the next order ("contractions" below). This is T eqs. (26)
+and (31) with their sums over shifted derivatives done once a cluster, not once a target.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from math import comb
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numba import prange
+
+from treecode._jit import (
+    compiled_parallel,
+    inlined,
+    inverse_sqrt,
+    method_hook,
+    stack_array,
+    standalone,
+    wide_vectors,
+)
+from treecode.kernels.base import Kernel
+from treecode.traversal import acceptance
+from treecode.tree import Tree, build_tree
+
+MIN_DEGREE = 0
+
+LANES = 16  # targets, or particles, that go through the tables together: two vectors of AVX-512
+
+
+class TaylorKernel(Kernel, Protocol):
+    """What a kernel needs besides `Kernel` to have Taylor expansions.
+
+    Attributes
+    ----------
+    derivatives : int
+        Highest derivative of psi in the kernel.
+    contractions : tuple of (int, int, int)
+        For each triple (a, b, c) of weights, the factor ``w_a r_1 + w_b r_2 + w_c r_3`` is needed.
+    """
+
+    derivatives: int
+    contractions: tuple[tuple[int, int, int], ...]
+
+    def taylor(self, k, up, psi, chi, x, m, out) -> None:
+        """Add the terms of multi-index number `k` to ``out[:, :LANES]``.
+
+        ``up[i, k]`` is the number of k + e_i; `psi` and `chi` hold the derivatives (number of
+        the multi-index, lane); `x` the vectors from the centre to the targets (3, LANES); `m`
+        the moments (weights, then contractions; number of the multi-index).
+        """
+
+
+@method_hook
+def taylor(self: Any, k, up, psi, chi, x, m, out) -> None:
+    """Add the terms of one multi-index to the sums of all lanes."""
+    self.taylor(k, up, psi, chi, x, m, out)
+
+
+class Expansion(NamedTuple):
+    """Moments of the clusters and the tables of multi-indices.
+
+    Multi-indices k = (k1, k2, k3) are numbered by increasing ``k1 + k2 + k3`` (the "flattened"
+    arrays of T section 6.1.1).
+
+    Attributes
+    ----------
+    order : int
+        Terms with ``k1 + k2 + k3 <= order`` are summed.
+    summed, inner, outer : int
+        How many multi-indices have a sum up to the order; up to the highest derivative of chi;
+        and up to the highest derivative of psi.
+    epsilon : float
+    exponents : (outer, 3) int64
+        The multi-indices.
+    up : (3, inner) int64
+        Number of k + e_i.
+    down, down2 : (3, outer) int64
+        Numbers of k - e_i and k - 2 e_i; 0, with factor 0, where they do not exist.
+    factor, factor2 : (3, outer) float64
+        Their factors in T eq. (15).
+    number : (order + 1, order + 1, order + 1) int64
+        Number of a multi-index.
+    slot : (C,) int64
+        Row of a cluster in `moments`; -1 for a cluster of fewer points than terms.
+    contractions : (n, 3) int64
+    moments : (clusters with a slot, weight_size + n, summed) float64
+    """
+
+    order: int
+    summed: int
+    inner: int
+    outer: int
+    epsilon: float
+    exponents: np.ndarray
+    up: np.ndarray
+    down: np.ndarray
+    down2: np.ndarray
+    factor: np.ndarray
+    factor2: np.ndarray
+    number: np.ndarray
+    slot: np.ndarray
+    contractions: np.ndarray
+    moments: np.ndarray
+
+    def holds(self, cluster):
+        return self.slot[cluster] >= 0
+
+    def approximate(self, kernel, tree, cluster, targets, first, last, out):
+        moments = self.moments[self.slot[cluster]]
+        center = tree.center[:, cluster]
+        for low in range(first, last, LANES):
+            _evaluate(self, kernel, center, moments, targets, low, min(low + LANES, last), out)
+
+    def terms(self):
+        return self.summed
+
+
+def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
+    """Sort `points` into boxes that are shrunk to their points (T section 6.1.1)."""
+    return build_tree(points, leaf_size, shrink=True)
+
+
+distance2 = acceptance
+
+
+def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
+    """Make the tables of order `degree`, and room for the moments of clusters that are worth it."""
+    outer_order = degree + kernel.derivatives
+    summed, inner, outer = (comb(n + 3, 3) for n in (degree, outer_order - 1, outer_order))
+    indices = product(range(outer_order + 1), repeat=3)
+    exponents = np.array(sorted((k for k in indices if sum(k) <= outer_order), key=sum)).reshape(
+        -1, 3
+    )
+    numbers = {tuple(k): n for n, k in enumerate(exponents.tolist())}
+    unit = np.eye(3, dtype=np.int64)
+    total = np.maximum(exponents.sum(axis=1), 1)
+    worth = tree.stop - tree.start > summed
+    number = np.full((degree + 1,) * 3, -1)
+    number[tuple(exponents[:summed].T)] = np.arange(summed)
+
+    def shifted(rows: np.ndarray, steps: int) -> np.ndarray:
+        return np.array(
+            [[numbers.get(tuple(k), 0) for k in (rows + steps * e).tolist()] for e in unit]
+        )
+
+    contractions = np.array(kernel.contractions, np.int64).reshape(-1, 3)
+    shape = (np.count_nonzero(worth), kernel.weight_size + len(contractions), summed)
+    return Expansion(
+        order=degree,
+        summed=summed,
+        inner=inner,
+        outer=outer,
+        epsilon=float(getattr(kernel, "epsilon", 0.0)),
+        exponents=exponents,
+        up=shifted(exponents[:inner], 1),
+        down=shifted(exponents, -1),
+        down2=shifted(exponents, -2),
+        factor=np.ascontiguousarray((exponents * ((2 * total - 1) / total)[:, None]).T),
+        factor2=np.ascontiguousarray(
+            (exponents * (exponents - 1) * ((total - 1) / total)[:, None]).T
+        ),
+        number=number,
+        slot=np.where(worth, np.cumsum(worth) - 1, -1),
+        contractions=contractions,
+        moments=np.empty(shape),
+    )
+
+
+def update(expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
+    """Compute the moments, T eqs. (8) and (11), divided by factorials."""
+    expansion.moments[...] = 0.0
+    levels = np.searchsorted(tree.level, np.arange(tree.depth + 2))
+    _moments(expansion, tree, levels, sources, weights)
+
+
+@standalone
+def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
+    """Add the expansion about `center` at up to `LANES` targets."""
+    wide_vectors()
+    eps2 = expansion.epsilon * expansion.epsilon
+    x = stack_array(3, LANES)
+    psi = stack_array(expansion.outer, LANES)
+    chi = stack_array(expansion.inner, LANES)
+    sums = stack_array(out.shape[0], LANES)
+    inverse2 = stack_array(1, LANES)
+    row = stack_array(1, LANES)
+    for t in range(LANES):
+        i = min(first + t, last - 1)
+        for d in range(3):
+            x[d, t] = targets[d, i] - center[d]
+    for t in range(LANES):
+        inverse = inverse_sqrt(x[0, t] * x[0, t] + x[1, t] * x[1, t] + x[2, t] * x[2, t] + eps2)
+        psi[0, t] = inverse
+        inverse2[0, t] = inverse * inverse
+    for c in range(out.shape[0]):
+        for t in range(LANES):
+            sums[c, t] = 0.0
+    # T eq. (15), for derivatives not divided by factorials.
+    for k in range(1, expansion.outer):
+        a1, a2, a3 = expansion.factor[0, k], expansion.factor[1, k], expansion.factor[2, k]
+        b1, b2, b3 = expansion.factor2[0, k], expansion.factor2[1, k], expansion.factor2[2, k]
+        i1, i2, i3 = expansion.down[0, k], expansion.down[1, k], expansion.down[2, k]
+        j1, j2, j3 = expansion.down2[0, k], expansion.down2[1, k], expansion.down2[2, k]
+        for t in range(LANES):
+            first_order = (
+                a1 * x[0, t] * psi[i1, t] + a2 * x[1, t] * psi[i2, t] + a3 * x[2, t] * psi[i3, t]
+            )
+            second_order = b1 * psi[j1, t] + b2 * psi[j2, t] + b3 * psi[j3, t]
+            row[0, t] = (first_order - second_order) * inverse2[0, t]
+        for t in range(LANES):
+            psi[k, t] = row[0, t]
+    if eps2 > 0.0:
+        for k in range(expansion.inner):
+            degree = (
+                expansion.exponents[k, 0] + expansion.exponents[k, 1] + expansion.exponents[k, 2]
+            )
+            i1, i2, i3 = expansion.up[0, k], expansion.up[1, k], expansion.up[2, k]
+            for t in range(LANES):
+                slope = x[0, t] * psi[i1, t] + x[1, t] * psi[i2, t] + x[2, t] * psi[i3, t]
+                chi[k, t] = 0.5 * ((3 + degree) * psi[k, t] - slope)
+    for k in range(expansion.summed):
+        taylor(kernel, k, expansion.up, psi, chi, x, moments, sums)
+    for c in range(out.shape[0]):
+        for i in range(first, last):
+            out[c, i] += sums[c, i - first]
+
+
+@standalone
+def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
+    """Add the particles ``start:stop`` to the moments of `cluster`."""
+    wide_vectors()
+    moments = expansion.moments[expansion.slot[cluster]]
+    x = stack_array(3, LANES)
+    power = stack_array(expansion.summed, LANES)
+    row = stack_array(1, LANES)
+    for low in range(start, stop, LANES):
+        size = min(LANES, stop - low)
+        for d in range(3):
+            for t in range(LANES):
+                x[d, t] = sources[d, low + t] - tree.center[d, cluster] if t < size else 0.0
+        for t in range(LANES):
+            power[0, t] = 1.0 if t < size else 0.0
+        for k in range(1, expansion.summed):
+            axis = 0
+            while expansion.exponents[k, axis] == 0:
+                axis += 1
+            inverse = 1.0 / expansion.exponents[k, axis]
+            below = expansion.down[axis, k]
+            for t in range(LANES):
+                row[0, t] = power[below, t] * x[axis, t] * inverse
+            for t in range(LANES):
+                power[k, t] = row[0, t]
+        for c in range(weights.shape[0]):
+            for t in range(size):
+                row[0, t] = weights[c, low + t]
+            for t in range(size, LANES):
+                row[0, t] = 0.0
+            for k in range(expansion.summed):
+                total = 0.0
+                for t in range(LANES):
+                    total += row[0, t] * power[k, t]
+                moments[c, k] += total
+
+
+@standalone
+def _gather_child(expansion, tree, cluster, child, weight_size):
+    """Add a child's moments to its parent's: sum_{j <= k} shift^(k - j) / (k - j)! m_child^j."""
+    moments = expansion.moments[expansion.slot[cluster]]
+    inner = expansion.moments[expansion.slot[child]]
+    shift = np.ones(expansion.summed)
+    for k in range(1, expansion.summed):
+        axis = 0
+        while expansion.exponents[k, axis] == 0:
+            axis += 1
+        step = tree.center[axis, child] - tree.center[axis, cluster]
+        shift[k] = shift[expansion.down[axis, k]] * step / expansion.exponents[k, axis]
+    for k in range(expansion.summed):
+        k1, k2, k3 = expansion.exponents[k, 0], expansion.exponents[k, 1], expansion.exponents[k, 2]
+        for j1 in range(k1 + 1):
+            for j2 in range(k2 + 1):
+                for j3 in range(k3 + 1):
+                    j = expansion.number[j1, j2, j3]
+                    power = shift[expansion.number[k1 - j1, k2 - j2, k3 - j3]]
+                    for c in range(weight_size):
+                        moments[c, k] += power * inner[c, j]
+
+
+@inlined
+def _contract(expansion, cluster, weight_size):
+    """Fill the contracted moments: those of ``w_a d_1 + w_b d_2 + w_c d_3``, d from the centre."""
+    moments = expansion.moments[expansion.slot[cluster]]
+    for n in range(len(expansion.contractions)):
+        for k in range(expansion.summed):
+            total = 0.0
+            for d in range(3):
+                above = expansion.up[d, k]
+                if above < expansion.summed:
+                    total += (
+                        expansion.exponents[above, d] * moments[expansion.contractions[n, d], above]
+                    )
+            moments[weight_size + n, k] = total
+
+
+@compiled_parallel
+def _moments(expansion, tree, levels, sources, weights):
+    """Fill ``expansion.moments`` from the deepest level to the root."""
+    size = weights.shape[0]
+    for level in range(len(levels) - 2, -1, -1):
+        for cluster in prange(levels[level], levels[level + 1]):
+            if expansion.slot[cluster] >= 0:
+                if tree.children[cluster] == 0:
+                    start, stop = tree.start[cluster], tree.stop[cluster]
+                    _gather_particles(expansion, tree, cluster, sources, weights, start, stop)
+                for k in range(tree.children[cluster]):
+                    child = tree.child[cluster] + k
+                    if expansion.slot[child] >= 0:
+                        _gather_child(expansion, tree, cluster, child, size)
+                    else:
+                        start, stop = tree.start[child], tree.stop[child]
+                        _gather_particles(expansion, tree, cluster, sources, weights, start, stop)
+                _contract(expansion, cluster, size)

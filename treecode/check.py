@@ -1,0 +1,100 @@
+"""Refusals: every bad argument is named, with its value and what is allowed, before any work."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+# Kernels use up to the fifth power of an inverse length; within these it stays in range.
+LARGEST_COORDINATE = 1e60
+SMALLEST_PARAMETER, LARGEST_PARAMETER = 1e-60, 1e60
+
+
+def number(name: str, value: Any, low: float, high: float) -> float:
+    """Return `value` as a float strictly between `low` and `high`."""
+    allowed = f"{name} must be a number between {low:g} and {high:g} (exclusive), got {value!r}"
+    if isinstance(value, (str, bytes, bool)):
+        raise TypeError(allowed)
+    try:
+        result = float(value)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(allowed) from None
+    if not low < result < high:  # false for nan as well
+        raise ValueError(allowed)
+    return result
+
+
+def positive(name: str, value: Any) -> float:
+    """Return a kernel's parameter as a positive float whose powers stay in range."""
+    return number(name, value, SMALLEST_PARAMETER, LARGEST_PARAMETER)
+
+
+def kernel(value: Any) -> Any:
+    """Return `value` if it has the members of a `treecode.Kernel` and is a tuple of numbers."""
+    members = ("strength_size", "weight_size", "value_size", "weights", "pair")
+    missing = [name for name in members if not hasattr(value, name)]
+    if isinstance(value, type) or not isinstance(value, tuple) or missing:
+        raise TypeError(
+            "kernel must be an instance of a kernel such as RegularizedStokeslet(epsilon=0.1), "
+            f"got {value!r}" + (f" without {', '.join(missing)}" if missing else "")
+        )
+    return value
+
+
+def integer(name: str, value: Any, low: int, high: int) -> int:
+    """Return `value` as an int from `low` to `high`."""
+    allowed = f"{name} must be an integer from {low} to {high}, got {value!r}"
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
+        raise TypeError(allowed)
+    if not low <= value <= high:
+        raise ValueError(allowed)
+    return int(value)
+
+
+def one_of(name: str, value: Any, allowed: Any) -> str:
+    """Return `value` if it is one of the strings `allowed`."""
+    if not isinstance(value, str) or value not in allowed:
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+    return value
+
+
+def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.ndarray:
+    """Return `value` as a finite (N, columns) float64 array; N must be `count` if that is given."""
+    shape = f"({'N' if count is None else count}, {columns})"
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        raise ValueError(f"{name} must have shape {shape}, got rows of different length") from None
+    if array.dtype.kind not in "fiu" and array.size:
+        raise TypeError(f"{name} must hold real numbers, got dtype {array.dtype}")
+    expected = array.shape[0] if array.ndim and count is None else count
+    if array.shape != (expected, columns):
+        raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
+    array = np.ascontiguousarray(array, dtype=np.float64)
+    if not np.isfinite(array).all():
+        row = int(np.argmax(~np.isfinite(array).all(axis=1)))
+        raise ValueError(f"{name} must be finite, got {array[row]} in row {row}")
+    return array
+
+
+def points(name: str, value: Any) -> np.ndarray:
+    """Return `value` as a finite (N, 3) float64 array within `LARGEST_COORDINATE`."""
+    array = rows(name, value, 3)
+    if array.size and max(array.max(), -array.min()) > LARGEST_COORDINATE:
+        row = int(np.argmax((np.abs(array) > LARGEST_COORDINATE).any(axis=1)))
+        raise ValueError(
+            f"{name} must lie within {LARGEST_COORDINATE:g} of the origin, "
+            f"got {array[row]} in row {row}"
+        )
+    return array
+
+
+def finite(name: str, value: np.ndarray) -> np.ndarray:
+    """Return `value`; raise FloatingPointError if the arithmetic has left the range of doubles."""
+    if not math.isfinite(value.sum()) and not np.isfinite(value).all():
+        raise FloatingPointError(
+            f"{name} overflowed: strengths, epsilon or distances are beyond the range of float64"
+        )
+    return value

@@ -1,0 +1,100 @@
+"""What a kernel is, and the functions through which the loops reach it."""
+
+from __future__ import annotations
+
+from sys import float_info
+from typing import Any, Protocol, runtime_checkable
+
+from treecode._jit import method_hook, overloaded
+
+# Smallest normal number, DBL_MIN. Two points coincide if the square of their distance is below it.
+SMALLEST = float_info.min
+
+
+@runtime_checkable
+class Kernel(Protocol):
+    """The contract of a kernel K(x, y): a NamedTuple of its parameters with these members.
+
+    The sum is ``out(x_i) = sum_j K(x_i, y_j) q_j``. Methods are plain Python; the package compiles
+    them into its loops. They may use arithmetic, ``math`` and `treecode.inverse_sqrt`, and must
+    not branch: write ``a if c else b`` with both sides finite. docs/add-a-kernel.md is a guide.
+
+    Attributes
+    ----------
+    strength_size : int
+        Columns of the strengths q that a user passes.
+    weight_size : int
+        Components of the linear weights w that `pair` takes.
+    value_size : int
+        Components of the sum.
+    """
+
+    strength_size: int
+    weight_size: int
+    value_size: int
+
+    def weights(self, q: tuple[float, ...]) -> tuple[float, ...]:
+        """Turn one row of strengths into weights, constant factors included."""
+
+    def pair(
+        self, dx: float, dy: float, dz: float, w: tuple[float, ...], acc: tuple[float, ...]
+    ) -> tuple[float, ...]:
+        """Return ``acc + K(r) w`` with r = target - source; linear in w and finite at r = 0."""
+
+
+@method_hook
+def pair(self: Any, dx: float, dy: float, dz: float, w: tuple, acc: tuple) -> tuple:
+    """Return ``acc + K(r) w``."""
+    return self.pair(dx, dy, dz, w, acc)
+
+
+@method_hook
+def weights(self: Any, q: tuple) -> tuple:
+    """Turn one row of strengths into linear weights."""
+    return self.weights(q)
+
+
+def zero(kernel: Any) -> tuple:
+    """Return the empty accumulator of a kernel."""
+    return (0.0,) * kernel.value_size
+
+
+@overloaded(zero)
+def _(kernel):
+    nothing = (0.0,) * kernel.instance_class.value_size
+    return lambda kernel: nothing
+
+
+def weight_column(kernel: Any, array: Any, j: int) -> tuple:
+    """Return column `j` of a (weight_size, N) array as a tuple."""
+    return tuple(array[c, j] for c in range(kernel.weight_size))
+
+
+@overloaded(weight_column)
+def _(kernel, array, j):
+    like = (0.0,) * kernel.instance_class.weight_size
+    return lambda kernel, array, j: _column(array, j, like)
+
+
+def strength_row(kernel: Any, array: Any, i: int) -> tuple:
+    """Return row `i` of an (N, strength_size) array as a tuple."""
+    return tuple(array[i, c] for c in range(kernel.strength_size))
+
+
+@overloaded(strength_row)
+def _(kernel, array, i):
+    like = (0.0,) * kernel.instance_class.strength_size
+    return lambda kernel, array, i: _column(array.T, i, like)
+
+
+def _column(array: Any, j: int, like: tuple) -> tuple:
+    """Return the first ``len(like)`` entries of column `j`; the type of `like` tells how many."""
+    return tuple(array[c, j] for c in range(len(like)))
+
+
+@overloaded(_column)
+def _(array, j, like):
+    last = len(like) - 1
+    if last == 0:
+        return lambda array, j, like: (array[0, j],)
+    return lambda array, j, like: (*_column(array, j, like[1:]), array[last, j])

@@ -1,0 +1,179 @@
+"""The walk of a batch of targets down a tree of sources (K algorithm 2, T algorithm 1)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import prange
+
+from treecode._jit import Driver, inlined, method_hook, standalone
+from treecode.kernels.base import SMALLEST, strength_row, weights
+from treecode.pairs import accumulate
+from treecode.tree import Tree
+
+# Targets that go down the tree together: enough to share the set-up of a far field, few enough
+# that every thread has work and that their sums stay in the first-level cache.
+BATCH_SIZE = 256
+
+
+def acceptance(tree: Tree, theta: float) -> np.ndarray:
+    """Return the square of the distance from which each cluster is well separated, (r/theta)^2.
+
+    A target exactly at the centre of a cluster without extent is not well separated (r/R is 0/0).
+    """
+    return np.maximum((tree.radius / theta) ** 2, SMALLEST)
+
+
+@method_hook
+def holds(self: Any, cluster: int) -> bool:
+    """Tell whether an expansion exists for this cluster (it does not where points are cheaper)."""
+    return self.holds(cluster)
+
+
+@method_hook
+def approximate(self: Any, kernel, tree, cluster, targets, first, last, out) -> None:
+    """Add the expansion of `cluster` at ``targets[:, first:last]`` to ``out[:, first:last]``."""
+    self.approximate(kernel, tree, cluster, targets, first, last, out)
+
+
+@method_hook
+def terms(self: Any) -> int:
+    """Return the number of terms of one expansion, as evaluated for one target."""
+    return self.terms()
+
+
+@inlined
+def _accepts(distance2, center, targets, i):
+    dx = targets[0, i] - center[0]
+    dy = targets[1, i] - center[1]
+    dz = targets[2, i] - center[2]
+    return dx * dx + dy * dy + dz * dz >= distance2
+
+
+@inlined
+def _separate(distance2, center, block, live, identity):
+    """Move the well separated of the first `live` targets behind the others; count those."""
+    near = 0
+    end = live
+    while True:
+        while near < end and not _accepts(distance2, center, block, near):
+            near += 1
+        while near < end and _accepts(distance2, center, block, end - 1):
+            end -= 1
+        if near == end:
+            return near
+        for d in range(block.shape[0]):
+            block[d, near], block[d, end - 1] = block[d, end - 1], block[d, near]
+        identity[near], identity[end - 1] = identity[end - 1], identity[near]
+
+
+@standalone
+def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack):
+    """Sum over all sources for one batch; return the pairs summed near and far.
+
+    `block` holds the coordinates of the targets and, below them, their sums. The decision is
+    taken target by target, as in the papers: at each cluster the targets that accept it are
+    moved to the end of those that arrived, and the rest go on. Both are contiguous.
+    """
+    out = block[3:]
+    near_pairs = 0
+    far_pairs = 0
+    stack[0, 0] = 0
+    stack[0, 1] = block.shape[1]
+    height = 1
+    while height > 0:
+        height -= 1
+        cluster, live = stack[height, 0], stack[height, 1]
+        start, stop = tree.start[cluster], tree.stop[cluster]
+        near = _separate(distance2[cluster], tree.center[:, cluster], block, live, identity)
+        if near < live:
+            if holds(expansion, cluster):
+                approximate(expansion, kernel, tree, cluster, block, near, live, out)
+                far_pairs += (live - near) * terms(expansion)
+            else:
+                accumulate(kernel, block, near, live, sources, weights, start, stop, out)
+                near_pairs += (live - near) * (stop - start)
+        if near > 0:
+            if tree.children[cluster] == 0:
+                accumulate(kernel, block, 0, near, sources, weights, start, stop, out)
+                near_pairs += near * (stop - start)
+            for k in range(tree.children[cluster]):
+                stack[height, 0] = tree.child[cluster] + k
+                stack[height, 1] = near
+                height += 1
+    return near_pairs, far_pairs
+
+
+@standalone
+def _evaluate_batch(
+    kernel, expansion, tree, distance2, sources, weights, targets, order, batch, values, pairs
+):
+    first = batch * BATCH_SIZE
+    size = min(BATCH_SIZE, targets.shape[1] - first)
+    block = np.zeros((3 + values.shape[1], size))
+    identity = np.empty(size, np.int64)
+    for i in range(size):
+        identity[i] = order[first + i]
+        for d in range(3):
+            block[d, i] = targets[d, first + i]
+    stack = np.empty((7 * (tree.level[-1] + 1) + 1, 2), np.int64)
+    pairs[batch, 0], pairs[batch, 1] = _walk(
+        kernel, expansion, tree, distance2, sources, weights, block, identity, stack
+    )
+    for i in range(size):
+        for c in range(values.shape[1]):
+            values[identity[i], c] = block[3 + c, i]
+
+
+@Driver
+def evaluate_batches(
+    kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, values, pairs
+):
+    """Evaluate the batches ``begin:end`` of targets.
+
+    A batch belongs to one thread, so the result does not depend on the number of threads.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    expansion : NamedTuple with `holds`, `approximate` and `terms`
+    tree : Tree
+        Of the sources.
+    distance2 : (C,) float64
+        See `acceptance`.
+    sources, weights : (3, N) and (weight_size, N) float64
+        In tree order.
+    targets : (3, M) float64
+        Sorted in space.
+    order : (M,) int64
+        Row of `values` for each target.
+    begin, end : int
+    values : (M, value_size) float64
+        Overwritten.
+    pairs : (number of batches, 2) int64
+        Near and far pairs of each batch, overwritten.
+    """
+    for batch in prange(begin, end):
+        _evaluate_batch(
+            kernel,
+            expansion,
+            tree,
+            distance2,
+            sources,
+            weights,
+            targets,
+            order,
+            batch,
+            values,
+            pairs,
+        )
+
+
+@Driver
+def load_weights(kernel, strengths, order, out):
+    """Write the linear weights of ``strengths[order]`` to the columns of `out`."""
+    for i in prange(len(order)):
+        w = weights(kernel, strength_row(kernel, strengths, order[i]))
+        for c in range(len(w)):
+            out[c, i] = w[c]
