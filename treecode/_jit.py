@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import math
+import sys
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -77,8 +78,9 @@ class Driver:
     """A function of a kernel, compiled and cached once for each kernel class.
 
     Each kernel class has a cache folder of its own, named by the package's sources and by the file
-    that defines the kernel. An edit to a user's kernel is therefore seen, and a kernel that cannot
-    be imported again (from a notebook or a script) cannot spoil the index that others read.
+    that defines the kernel. An edit to a user's kernel is therefore seen, and no kernel that cannot
+    be imported any more can spoil the index that others read. Kernels of a script or a notebook
+    itself are compiled at each run.
     """
 
     def __init__(self, function: Callable) -> None:
@@ -97,12 +99,12 @@ class Driver:
 
 
 def _kernel_key(kernel_class: type) -> str | None:
+    """Return the name of a kernel's cache folder, or None if it cannot be cached."""
     if kernel_class.__module__.split(".")[0] == __package__:
         return _package_hash()
-    try:
-        source = Path(inspect.getsourcefile(kernel_class) or "").read_text()
-    except (OSError, TypeError):  # typed at a prompt: there is no file to tell an edit by
+    if kernel_class.__module__ == "__main__":  # another process would not know it for the same
         return None
+    source = inspect.getsource(sys.modules[kernel_class.__module__])
     name = f"{kernel_class.__module__}.{kernel_class.__qualname__}"
     return hashlib.sha256(f"{_package_hash()}{name}{source}".encode()).hexdigest()
 
@@ -203,14 +205,14 @@ def _float_of(typing_context, bits):
 
 
 def inverse_sqrt(x: float) -> float:
-    """Return ``1/sqrt(x)`` to 2e-16, for any normal positive `x`; finite, but no more, at 0.
+    """Return ``1/sqrt(x)`` to 2e-16 for any positive normal number `x`; anything for another.
 
     Compiled, it is a guess from the exponent bits (3.5 % off), a quadratic fitted to the
     range of that guess (2.5e-5 off) and one step of fourth order. It needs 15 operations that all
     vectorise, where the divider needs some 40 cycles for eight numbers, and unlike a single
     precision estimate it keeps the whole range of the exponent.
     """
-    return 1.0 / math.sqrt(x) if x > 0.0 else 1e154
+    return 1.0 / math.sqrt(x)
 
 
 @overloaded(inverse_sqrt)

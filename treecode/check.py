@@ -31,14 +31,18 @@ def positive(name: str, value: Any) -> float:
     return number(name, value, SMALLEST_PARAMETER, LARGEST_PARAMETER)
 
 
-def kernel(value: Any) -> Any:
-    """Return `value` if it has the members of a `treecode.Kernel` and is a tuple of numbers."""
-    members = ("strength_size", "weight_size", "value_size", "weights", "pair")
+def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
+    """Return `value` if it is a named tuple with the members that the backend needs."""
     missing = [name for name in members if not hasattr(value, name)]
-    if isinstance(value, type) or not isinstance(value, tuple) or missing:
+    if isinstance(value, type) or not isinstance(value, tuple):
         raise TypeError(
             "kernel must be an instance of a kernel such as RegularizedStokeslet(epsilon=0.1), "
-            f"got {value!r}" + (f" without {', '.join(missing)}" if missing else "")
+            f"got {value!r}"
+        )
+    if missing:
+        raise TypeError(
+            f"kernel must have {', '.join(missing)} for backend {backend!r}, got {value!r}; "
+            "'kitc' and 'direct' work with any treecode.Kernel"
         )
     return value
 

@@ -70,10 +70,10 @@ class Plan:
         leaf_size: int = 2000,
         progress: bool = False,
     ) -> None:
-        self.kernel = check.kernel(kernel)
         self.backend = check.one_of("backend", backend, _BACKENDS)
         self.theta = check.number("theta", theta, 0.0, 1.0)
         self._module = _BACKENDS[backend]
+        self.kernel = check.kernel(kernel, backend, self._module.KERNEL_MEMBERS)
         self.degree = check.integer("degree", degree, self._module.MIN_DEGREE, _MAX_DEGREE)
         self.leaf_size = check.integer("leaf_size", leaf_size, 1, 2**62)
         self.progress = progress

@@ -6,9 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from treecode.kernels.base import MEMBERS
 from treecode.tree import Tree, build_tree
 
 MIN_DEGREE = 1
+KERNEL_MEMBERS = MEMBERS
 
 
 class NoExpansion(NamedTuple):

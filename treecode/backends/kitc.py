@@ -8,12 +8,13 @@ import numpy as np
 from numba import prange
 
 from treecode._jit import compiled_parallel, inlined, standalone, wide_vectors
-from treecode.kernels.base import SMALLEST, Kernel
+from treecode.kernels.base import MEMBERS, SMALLEST, Kernel
 from treecode.pairs import accumulate
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 
 MIN_DEGREE = 1
+KERNEL_MEMBERS = MEMBERS
 
 _BLOCK = 256  # particles whose Lagrange polynomials are held at a time
 

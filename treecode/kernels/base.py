@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sys import float_info
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol
 
 from treecode._jit import method_hook, overloaded
 
@@ -11,13 +11,20 @@ from treecode._jit import method_hook, overloaded
 SMALLEST = float_info.min
 
 
-@runtime_checkable
+# Targets, or particles, that go through a table of Taylor terms together: two vectors of AVX-512.
+LANES = 16
+
+
+# What `check.kernel` asks for; the protocol below says what each is.
+MEMBERS = ("strength_size", "weight_size", "value_size", "weights", "pair")
+
+
 class Kernel(Protocol):
     """The contract of a kernel K(x, y): a NamedTuple of its parameters with these members.
 
     The sum is ``out(x_i) = sum_j K(x_i, y_j) q_j``. Methods are plain Python; the package compiles
     them into its loops. They may use arithmetic, ``math`` and `treecode.inverse_sqrt`, and must
-    not branch: write ``a if c else b`` with both sides finite. docs/add-a-kernel.md is a guide.
+    not branch: write ``a if c else b``. docs/add-a-kernel.md is a guide.
 
     Attributes
     ----------

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from treecode import check
 from treecode._jit import inverse_sqrt
+from treecode.kernels.base import LANES
 
 
 class _Parameters(NamedTuple):
@@ -65,7 +66,7 @@ class RegularizedStokeslet(_Parameters):
         # u = (2 chi - psi) f + (r . f) nabla psi
         m1, m2, m3, inner = m[0, k], m[1, k], m[2, k], m[3, k]
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
-        for t in range(x.shape[1]):
+        for t in range(LANES):
             h1 = 2.0 * chi[k, t] - psi[k, t]
             s = x[0, t] * m1 + x[1, t] * m2 + x[2, t] * m3 - inner
             out[0, t] += h1 * m1 + s * psi[k1, t]

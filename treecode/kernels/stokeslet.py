@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from treecode._jit import inverse_sqrt
-from treecode.kernels.base import SMALLEST
+from treecode.kernels.base import LANES, SMALLEST
 
 
 class _Parameters(NamedTuple):
@@ -46,7 +46,7 @@ class Stokeslet(_Parameters):
         # u = psi f + (r . f) nabla psi
         m1, m2, m3, inner = m[0, k], m[1, k], m[2, k], m[3, k]
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
-        for t in range(x.shape[1]):
+        for t in range(LANES):
             h1 = psi[k, t]
             s = x[0, t] * m1 + x[1, t] * m2 + x[2, t] * m3 - inner
             out[0, t] += h1 * m1 + s * psi[k1, t]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from treecode._jit import inverse_sqrt
-from treecode.kernels.base import SMALLEST
+from treecode.kernels.base import LANES, SMALLEST
 
 
 class _Parameters(NamedTuple):
@@ -66,7 +66,7 @@ class StokesletStresslet(_Parameters):
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
         k11, k12, k13 = up[0, k1], up[0, k2], up[0, k3]
         k22, k23, k33 = up[1, k2], up[1, k3], up[2, k3]
-        for t in range(x.shape[1]):
+        for t in range(LANES):
             x1, x2, x3 = x[0, t], x[1, t], x[2, t]
             p1, p2, p3 = psi[k1, t], psi[k2, t], psi[k3, t]
             h1 = psi[k, t]

@@ -1,0 +1,33 @@
+"""A kernel that is not part of the package: the Rotne-Prager-Yamakawa tensor."""
+
+import math
+from typing import NamedTuple
+
+import treecode as tc
+
+
+class RotnePrager(NamedTuple):
+    """Velocity of spheres of one radius under forces; forces (N, 3) to velocities (N, 3)."""
+
+    radius: float
+    viscosity: float
+
+    strength_size = 3
+    weight_size = 3
+    value_size = 3
+
+    def weights(self, q):
+        s = 1.0 / (8.0 * math.pi * self.viscosity)
+        return q[0] * s, q[1] * s, q[2] * s
+
+    def pair(self, dx, dy, dz, w, acc):
+        a = self.radius
+        r2 = dx * dx + dy * dy + dz * dz
+        psi = tc.inverse_sqrt(r2 if r2 > 0.0 else 1.0)  # 1/r
+        r = r2 * psi
+        # The tensor is g I + h r r / r^2; inside r < 2 a the spheres overlap.
+        s = a * a * psi * psi
+        g = psi * (1.0 + s * (2.0 / 3.0)) if r > 2.0 * a else (4.0 - 1.125 * r / a) / (3.0 * a)
+        h = psi * (1.0 - 2.0 * s) if r > 2.0 * a else 0.125 * r / (a * a)
+        d = h * psi * psi * (w[0] * dx + w[1] * dy + w[2] * dz)
+        return acc[0] + g * w[0] + d * dx, acc[1] + g * w[1] + d * dy, acc[2] + g * w[2] + d * dz

@@ -1,0 +1,77 @@
+"""Imports go one way (ARCHITECTURE.md): read from the sources, so that nothing has to run."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# module -> what it may import of the project
+ALLOWED = {
+    "treecode._jit": set(),
+    "treecode.check": set(),
+    "treecode.kernels.base": {"treecode._jit"},
+    "treecode.kernels": {"treecode.kernels", "treecode._jit", "treecode.check"},
+    "treecode.pairs": {"treecode._jit", "treecode.kernels.base"},
+    "treecode.tree": {"treecode._jit"},
+    "treecode.traversal": {
+        "treecode._jit", "treecode.kernels.base", "treecode.pairs", "treecode.tree",
+    },
+    "treecode.backends": {
+        "treecode._jit", "treecode.kernels.base", "treecode.pairs", "treecode.traversal",
+        "treecode.tree",
+    },
+    "treecode.plan": {"treecode"},
+    "treecode": {"treecode"},
+    "mrs": {"mrs", "treecode"},
+    "scenarios": {"scenarios", "mrs", "treecode"},
+}  # fmt: skip
+
+SOURCES = [
+    p for top in ("treecode", "mrs", "scenarios") for p in sorted((ROOT / top).rglob("*.py"))
+]
+
+
+def name_of(path):
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports_of(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                module = ROOT / Path(*full.split("."))
+                known = module.with_suffix(".py").exists() or module.is_dir()
+                yield full if known else node.module
+
+
+def rule(name):
+    """Return the most specific entry of ALLOWED."""
+    while name not in ALLOWED:
+        name = name.rpartition(".")[0]
+    return ALLOWED[name]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_imports_go_one_way(path):
+    name = name_of(path)
+    for imported in imports_of(path):
+        if imported.split(".")[0] in ("treecode", "mrs", "scenarios"):
+            allowed = rule(name)
+            ok = any(imported == a or imported.startswith(a + ".") for a in allowed)
+            assert ok, f"{name} imports {imported}"
+
+
+def test_numba_is_spelled_in_one_file():
+    """Only _jit.py names compiler options; prange and the thread count are the exceptions."""
+    for path in SOURCES:
+        text = path.read_text()
+        if path.name != "_jit.py":
+            for word in ("fastmath", "njit", "error_model", "forceinline", "llvmlite"):
+                assert word not in text, f"{path} names {word}"
