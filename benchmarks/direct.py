@@ -1,6 +1,6 @@
 """Pairs per second of direct summation on one thread, beside a plain C++ loop in the same run.
 
-    python benchmarks/direct.py [--points 16384] [--repeats 7]
+    python benchmarks/direct.py [--points 16384 80000 640000] [--repeats 7]
 
 Needs g++. The two codes take turns, so that a machine that changes speed slows both.
 """
@@ -21,6 +21,7 @@ import treecode as tc
 
 FLAGS = ["-O3", "-march=native", "-ffast-math"]
 EPSILON = 0.02
+PAIRS = 1.5e8  # of one measurement, by taking fewer targets
 
 
 def plain_loops(folder: str) -> ctypes.CDLL:
@@ -41,47 +42,44 @@ def seconds(function, *arguments) -> float:
 def compare(kernel, plain, points: np.ndarray, repeats: int) -> None:
     """Print one row for a kernel."""
     n = len(points)
+    m = min(n, int(PAIRS / n))
     strengths = np.random.default_rng(1).uniform(-1, 1, (n, kernel.strength_size))
     x, y, z = np.ascontiguousarray(points.T)
     columns = np.ascontiguousarray(strengths.T)
-    out = np.empty((kernel.value_size, n))
-    arguments = [ctypes.c_long(n), ctypes.c_double(EPSILON)]
+    out = np.empty((kernel.value_size, m))
+    arguments = [ctypes.c_long(m), ctypes.c_long(n), ctypes.c_double(EPSILON)]
     arguments += [a.ctypes.data_as(ctypes.c_void_p) for a in (x, y, z, columns, out)]
-    plan = tc.Plan(kernel, "direct").set_points(points)
+    plan = tc.Plan(kernel, "direct").set_points(points, points[:m])
     plan.execute(strengths)
     times = np.array(
         [(seconds(plain, *arguments), seconds(plan.execute, strengths)) for _ in range(repeats)]
     )
     difference = tc.relative_error(plan.execute(strengths), out.T)
-    rates = n * n / np.median(times, axis=0)
+    rates = m * n / np.median(times, axis=0)
     ratio = np.median(times[:, 0] / times[:, 1])
     name = type(kernel).__name__
-    print(f"| {name} | {rates[0]:.2e} | {rates[1]:.2e} | {ratio:.2f} | {difference:.1e} |")
+    print(f"| {name} | {n} | {rates[0]:.2e} | {rates[1]:.2e} | {ratio:.2f} | {difference:.1e} |")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--points", type=int, default=16384)
+    parser.add_argument("--points", type=int, nargs="+", default=[16384, 80_000, 640_000])
     parser.add_argument("--repeats", type=int, default=7)
     options = parser.parse_args()
     numba.set_num_threads(1)
-    points = np.random.default_rng(0).random((options.points, 3))
-    print(
-        f"N = {options.points}, one thread, medians of {options.repeats}; g++ {' '.join(FLAGS)}\n"
-    )
-    print("| kernel | C++ pairs/s | treecode pairs/s | ratio | relative difference |")
-    print("|---|---|---|---|---|")
+    print(f"One thread, medians of {options.repeats} turns; g++ {' '.join(FLAGS)}\n")
+    print("| kernel | N | C++ pairs/s | treecode pairs/s | ratio | relative difference |")
+    print("|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         library = plain_loops(folder)
-        compare(
-            tc.RegularizedStokeslet(EPSILON), library.regularized_stokeslet, points, options.repeats
-        )
-        compare(
-            tc.RegularizedStokesletRotlet(EPSILON),
-            library.regularized_stokeslet_rotlet,
-            points,
-            options.repeats,
-        )
+        kernels = [
+            (tc.RegularizedStokeslet(EPSILON), library.regularized_stokeslet),
+            (tc.RegularizedStokesletRotlet(EPSILON), library.regularized_stokeslet_rotlet),
+        ]
+        for kernel, plain in kernels:
+            for n in options.points:
+                points = np.random.default_rng(0).random((n, 3))
+                compare(kernel, plain, points, options.repeats)
 
 
 if __name__ == "__main__":

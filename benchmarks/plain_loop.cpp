@@ -1,12 +1,12 @@
 // The loops a careful programmer writes first, for benchmarks/direct.py to compare with.
-// g++ -O3 -march=native -ffast-math -shared -fPIC
+// Velocities of the first m of n points. g++ -O3 -march=native -ffast-math -shared -fPIC
 #include <cmath>
 
-extern "C" void regularized_stokeslet(long n, double epsilon, const double* x, const double* y,
+extern "C" void regularized_stokeslet(long m, long n, double epsilon, const double* x, const double* y,
                                       const double* z, const double* f, double* u) {
   const double *f1 = f, *f2 = f + n, *f3 = f + 2 * n;
   const double e2 = epsilon * epsilon, scale = 1 / (8 * M_PI);
-  for (long i = 0; i < n; i++) {
+  for (long i = 0; i < m; i++) {
     double u1 = 0, u2 = 0, u3 = 0;
     for (long j = 0; j < n; j++) {
       double dx = x[i] - x[j], dy = y[i] - y[j], dz = z[i] - z[j];
@@ -17,17 +17,17 @@ extern "C" void regularized_stokeslet(long n, double epsilon, const double* x, c
       u2 += f2[j] * h1 + s * dy;
       u3 += f3[j] * h1 + s * dz;
     }
-    u[i] = u1 * scale, u[n + i] = u2 * scale, u[2 * n + i] = u3 * scale;
+    u[i] = u1 * scale, u[m + i] = u2 * scale, u[2 * m + i] = u3 * scale;
   }
 }
 
-extern "C" void regularized_stokeslet_rotlet(long n, double epsilon, const double* x,
+extern "C" void regularized_stokeslet_rotlet(long m, long n, double epsilon, const double* x,
                                              const double* y, const double* z, const double* q,
                                              double* u) {
   const double *f1 = q, *f2 = q + n, *f3 = q + 2 * n;
   const double *n1 = q + 3 * n, *n2 = q + 4 * n, *n3 = q + 5 * n;
   const double e2 = epsilon * epsilon, e4 = e2 * e2, scale = 1 / (8 * M_PI);
-  for (long i = 0; i < n; i++) {
+  for (long i = 0; i < m; i++) {
     double u1 = 0, u2 = 0, u3 = 0, w1 = 0, w2 = 0, w3 = 0;
     for (long j = 0; j < n; j++) {
       double dx = x[i] - x[j], dy = y[i] - y[j], dz = z[i] - z[j];
@@ -44,7 +44,7 @@ extern "C" void regularized_stokeslet_rotlet(long n, double epsilon, const doubl
       w2 += n2[j] * d1 + d2 * dy + q * (f3[j] * dx - f1[j] * dz);
       w3 += n3[j] * d1 + d2 * dz + q * (f1[j] * dy - f2[j] * dx);
     }
-    u[i] = u1 * scale, u[n + i] = u2 * scale, u[2 * n + i] = u3 * scale;
-    u[3 * n + i] = w1 * scale, u[4 * n + i] = w2 * scale, u[5 * n + i] = w3 * scale;
+    u[i] = u1 * scale, u[m + i] = u2 * scale, u[2 * m + i] = u3 * scale;
+    u[3 * m + i] = w1 * scale, u[4 * m + i] = w2 * scale, u[5 * m + i] = w3 * scale;
   }
 }

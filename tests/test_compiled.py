@@ -70,7 +70,10 @@ for dispatcher in (*drivers, _build, _modified_weights, _moments):
 
 def counts(program, folder, cwd=ROOT):
     """Run a program in a new process; return rows of cache hits and misses."""
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(folder), "PYTHONPATH": f"{ROOT}{os.pathsep}{cwd}"}
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(folder),
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{cwd}",
+    }
     run = subprocess.run(
         [sys.executable, *program],
         env=environment,
