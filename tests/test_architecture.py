@@ -15,12 +15,13 @@ ALLOWED = {
     "treecode.kernels": {"treecode.kernels", "treecode._jit", "treecode.check"},
     "treecode.pairs": {"treecode._jit", "treecode.kernels.base"},
     "treecode.tree": {"treecode._jit"},
+    "treecode.upward": {"treecode._jit", "treecode.tree"},
     "treecode.traversal": {
         "treecode._jit", "treecode.kernels.base", "treecode.pairs", "treecode.tree",
     },
     "treecode.backends": {
         "treecode._jit", "treecode.kernels.base", "treecode.pairs", "treecode.traversal",
-        "treecode.tree",
+        "treecode.tree", "treecode.upward",
     },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},

@@ -55,14 +55,13 @@ import sys, time
 import numpy as np, treecode as tc
 from treecode.traversal import evaluate_batches, load_weights
 from treecode.tree import _build
+from treecode.upward import _fill
 kernel = tc.RegularizedStokeslet(epsilon=0.1)
 points = np.random.default_rng(0).random((100, 3))
 for backend in ("direct", "kitc", "taylor"):
     tc.evaluate(kernel, points, points, backend=backend, degree=2, leaf_size=9)
-from treecode.backends.kitc import _modified_weights
-from treecode.backends.taylor import _moments
 drivers = [d.dispatcher(type(kernel)) for d in (evaluate_batches, load_weights)]
-for dispatcher in (*drivers, _build, _modified_weights, _moments):
+for dispatcher in (*drivers, _build, _fill):
     stats = dispatcher.stats
     print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
 """

@@ -5,13 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import prange
 
-from treecode._jit import compiled_parallel, inlined, standalone, wide_vectors
+from treecode._jit import inlined, standalone, wide_vectors
 from treecode.kernels.base import MEMBERS, SMALLEST, Kernel
 from treecode.pairs import accumulate
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
+from treecode.upward import fill
 
 MIN_DEGREE = 1
 KERNEL_MEMBERS = MEMBERS
@@ -47,6 +47,15 @@ class Interpolation(NamedTuple):
     def terms(self):
         return len(self.nodes) ** 3
 
+    def gather_particles(self, tree, cluster, sources, weights, start, stop):
+        _gather_particles(self, tree, cluster, sources, weights, start, stop)
+
+    def gather_child(self, tree, cluster, child):
+        _gather_child(self, tree, cluster, child)
+
+    def finish(self, cluster):
+        pass
+
 
 def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
     """Sort `points` into boxes that are bisected, not shrunk (K section 6)."""
@@ -69,8 +78,7 @@ def prepare(kernel: Kernel, tree: Tree, degree: int) -> Interpolation:
 def update(expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
     """Compute the modified weights from the particles' `weights`."""
     expansion.weights[...] = 0.0
-    levels = np.searchsorted(tree.level, np.arange(tree.depth + 2))
-    _modified_weights(expansion, tree, levels, sources, weights)
+    fill(expansion, tree, sources, weights)
 
 
 @inlined
@@ -115,10 +123,11 @@ def _lagrange(nodes, center, half, points, polynomials):
             distance = y - nodes[k]
             if abs(distance) <= SMALLEST:
                 flag = k
-            weight = 0.5 if k == 0 or k == last else 1.0
-            a = (weight if k % 2 == 0 else -weight) / distance
-            polynomials[k, j] = a
-            total += a
+            else:
+                weight = 0.5 if k == 0 or k == last else 1.0
+                a = (weight if k % 2 == 0 else -weight) / distance
+                polynomials[k, j] = a
+                total += a
         for k in range(last + 1):
             if flag < 0:
                 polynomials[k, j] /= total
@@ -183,21 +192,3 @@ def _gather_child(expansion, tree, cluster, child):
         values = _apply(matrices[2], _apply(matrices[1], _apply(matrices[0], inner[c])))
         for k in range(n * n * n):
             modified[c, k] += values[k]
-
-
-@compiled_parallel
-def _modified_weights(expansion, tree, levels, sources, weights):
-    """Fill ``expansion.weights`` from the deepest level to the root."""
-    for level in range(len(levels) - 2, -1, -1):
-        for cluster in prange(levels[level], levels[level + 1]):
-            if expansion.slot[cluster] >= 0:
-                if tree.children[cluster] == 0:
-                    start, stop = tree.start[cluster], tree.stop[cluster]
-                    _gather_particles(expansion, tree, cluster, sources, weights, start, stop)
-                for k in range(tree.children[cluster]):
-                    child = tree.child[cluster] + k
-                    if expansion.slot[child] >= 0:
-                        _gather_child(expansion, tree, cluster, child)
-                    else:
-                        start, stop = tree.start[child], tree.stop[child]
-                        _gather_particles(expansion, tree, cluster, sources, weights, start, stop)

@@ -24,10 +24,8 @@ from math import comb
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from numba import prange
 
 from treecode._jit import (
-    compiled_parallel,
     inlined,
     inverse_sqrt,
     method_hook,
@@ -38,9 +36,11 @@ from treecode._jit import (
 from treecode.kernels.base import LANES, MEMBERS, Kernel
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
+from treecode.upward import fill
 
 MIN_DEGREE = 0
 KERNEL_MEMBERS = (*MEMBERS, "derivatives", "contractions", "taylor")
+
 
 class TaylorKernel(Kernel, Protocol):
     """What a kernel needs besides `Kernel` to have Taylor expansions.
@@ -132,6 +132,15 @@ class Expansion(NamedTuple):
     def terms(self):
         return self.summed
 
+    def gather_particles(self, tree, cluster, sources, weights, start, stop):
+        _gather_particles(self, tree, cluster, sources, weights, start, stop)
+
+    def gather_child(self, tree, cluster, child):
+        _gather_child(self, tree, cluster, child)
+
+    def finish(self, cluster):
+        _contract(self, cluster)
+
 
 def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
     """Sort `points` into boxes that are shrunk to their points (T section 6.1.1)."""
@@ -189,8 +198,7 @@ def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
 def update(expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
     """Compute the moments, T eqs. (8) and (11), divided by factorials."""
     expansion.moments[...] = 0.0
-    levels = np.searchsorted(tree.level, np.arange(tree.depth + 2))
-    _moments(expansion, tree, levels, sources, weights)
+    fill(expansion, tree, sources, weights)
 
 
 @standalone
@@ -285,10 +293,11 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
 
 
 @standalone
-def _gather_child(expansion, tree, cluster, child, weight_size):
+def _gather_child(expansion, tree, cluster, child):
     """Add a child's moments to its parent's: sum_{j <= k} shift^(k - j) / (k - j)! m_child^j."""
     moments = expansion.moments[expansion.slot[cluster]]
     inner = expansion.moments[expansion.slot[child]]
+    weight_size = moments.shape[0] - len(expansion.contractions)
     shift = np.ones(expansion.summed)
     for k in range(1, expansion.summed):
         axis = 0
@@ -308,9 +317,10 @@ def _gather_child(expansion, tree, cluster, child, weight_size):
 
 
 @inlined
-def _contract(expansion, cluster, weight_size):
+def _contract(expansion, cluster):
     """Fill the contracted moments: those of ``w_a d_1 + w_b d_2 + w_c d_3``, d from the centre."""
     moments = expansion.moments[expansion.slot[cluster]]
+    weight_size = moments.shape[0] - len(expansion.contractions)
     for n in range(len(expansion.contractions)):
         for k in range(expansion.summed):
             total = 0.0
@@ -321,23 +331,3 @@ def _contract(expansion, cluster, weight_size):
                         expansion.exponents[above, d] * moments[expansion.contractions[n, d], above]
                     )
             moments[weight_size + n, k] = total
-
-
-@compiled_parallel
-def _moments(expansion, tree, levels, sources, weights):
-    """Fill ``expansion.moments`` from the deepest level to the root."""
-    size = weights.shape[0]
-    for level in range(len(levels) - 2, -1, -1):
-        for cluster in prange(levels[level], levels[level + 1]):
-            if expansion.slot[cluster] >= 0:
-                if tree.children[cluster] == 0:
-                    start, stop = tree.start[cluster], tree.stop[cluster]
-                    _gather_particles(expansion, tree, cluster, sources, weights, start, stop)
-                for k in range(tree.children[cluster]):
-                    child = tree.child[cluster] + k
-                    if expansion.slot[child] >= 0:
-                        _gather_child(expansion, tree, cluster, child, size)
-                    else:
-                        start, stop = tree.start[child], tree.stop[child]
-                        _gather_particles(expansion, tree, cluster, sources, weights, start, stop)
-                _contract(expansion, cluster, size)

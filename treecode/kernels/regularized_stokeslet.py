@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from treecode import check
 from treecode._jit import inverse_sqrt
 from treecode.kernels.base import LANES
+from treecode.kernels.blob import Blob
 
 
-class _Parameters(NamedTuple):
-    epsilon: float
-    viscosity: float
-
-
-class RegularizedStokeslet(_Parameters):
+class RegularizedStokeslet(Blob):
     """Velocity of regularized point forces, K eq. (7.2), with the factor 1/(8 pi mu).
 
     ``u = sum_j [f_j H1(r) + (f_j . r) r H2(r)] / mu``, blob
@@ -33,7 +27,7 @@ class RegularizedStokeslet(_Parameters):
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If a parameter is not a number between 1e-60 and 1e60.
     """
 
@@ -43,11 +37,6 @@ class RegularizedStokeslet(_Parameters):
     value_size = 3
     derivatives = 1
     contractions = ((0, 1, 2),)
-
-    def __new__(cls, epsilon: float, viscosity: float = 1.0) -> RegularizedStokeslet:
-        return super().__new__(
-            cls, check.positive("epsilon", epsilon), check.positive("viscosity", viscosity)
-        )
 
     def weights(self, q):
         scale = 1.0 / (8.0 * math.pi * self.viscosity)

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from treecode import check
 from treecode._jit import inverse_sqrt
 from treecode.kernels.base import LANES
+from treecode.kernels.blob import Blob
 
 
-class _Parameters(NamedTuple):
-    epsilon: float
-    viscosity: float
-
-
-class RegularizedStokesletRotlet(_Parameters):
+class RegularizedStokesletRotlet(Blob):
     """Velocity and angular velocity of regularized forces and torques, K eq. (7.3).
 
     With the factor 1/(8 pi mu) and the functions H1, H2, Q, D1, D2 of K eq. (7.1)::
@@ -37,7 +31,7 @@ class RegularizedStokesletRotlet(_Parameters):
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If a parameter is not a number between 1e-60 and 1e60.
     """
 
@@ -47,11 +41,6 @@ class RegularizedStokesletRotlet(_Parameters):
     value_size = 6
     derivatives = 3
     contractions = ((0, 1, 2),)
-
-    def __new__(cls, epsilon: float, viscosity: float = 1.0) -> RegularizedStokesletRotlet:
-        return super().__new__(
-            cls, check.positive("epsilon", epsilon), check.positive("viscosity", viscosity)
-        )
 
     def weights(self, q):
         s = 1.0 / (8.0 * math.pi * self.viscosity)
