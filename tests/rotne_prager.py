@@ -23,11 +23,12 @@ class RotnePrager(NamedTuple):
     def pair(self, dx, dy, dz, w, acc):
         a = self.radius
         r2 = dx * dx + dy * dy + dz * dz
-        psi = tc.inverse_sqrt(r2 if r2 > 0.0 else 1.0)  # 1/r
+        psi = tc.inverse_sqrt(tc.where(r2 > 0.0, r2, 1.0))  # 1/r
         r = r2 * psi
         # The tensor is g I + h r r / r^2; inside r < 2 a the spheres overlap.
         s = a * a * psi * psi
-        g = psi * (1.0 + s * (2.0 / 3.0)) if r > 2.0 * a else (4.0 - 1.125 * r / a) / (3.0 * a)
-        h = psi * (1.0 - 2.0 * s) if r > 2.0 * a else 0.125 * r / (a * a)
+        apart = r > 2.0 * a
+        g = tc.where(apart, psi * (1.0 + s * (2.0 / 3.0)), (4.0 - 1.125 * r / a) / (3.0 * a))
+        h = tc.where(apart, psi * (1.0 - 2.0 * s), 0.125 * r / (a * a))
         d = h * psi * psi * (w[0] * dx + w[1] * dy + w[2] * dz)
         return acc[0] + g * w[0] + d * dx, acc[1] + g * w[1] + d * dy, acc[2] + g * w[2] + d * dz

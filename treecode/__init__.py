@@ -1,6 +1,6 @@
 """Fast summation of the kernels of Stokes flow: direct, kernel-independent and Taylor treecodes."""
 
-from treecode._jit import inverse_sqrt
+from treecode._lanes import inverse_sqrt, where
 from treecode.kernels import (
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
@@ -20,4 +20,5 @@ __all__ = [
     "evaluate",
     "inverse_sqrt",
     "relative_error",
+    "where",
 ]

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import math
 import sys
 from collections.abc import Callable
 from functools import cache
@@ -36,6 +35,7 @@ _OPTIONS: dict[str, Any] = {
 }
 _INLINED: Any = _OPTIONS | {"forceinline": True}
 _CONFIG: Any = numba.config
+INTERPRETED = bool(_CONFIG.DISABLE_JIT)  # nothing is compiled: debugging, coverage
 
 inlined = numba.njit(**_INLINED)
 standalone = numba.njit(**_OPTIONS, forceinline=False)
@@ -53,7 +53,7 @@ def _package_hash() -> str:
 def _cached(function: Callable, key: str | None, parallel: bool) -> Any:
     """Compile `function` with a disk cache in a folder named by `key`; no cache if it is None."""
     options = _OPTIONS | {"parallel": parallel, "forceinline": False}
-    if key is None or _CONFIG.DISABLE_JIT:
+    if key is None or INTERPRETED:
         return numba.njit(**options)(function)
     root = _CONFIG.CACHE_DIR
     folder = Path(root or platformdirs.user_cache_dir("treecode", appauthor=False))
@@ -148,7 +148,7 @@ def _no_vectors() -> None:
 # Called in a function, asks for the widest vectors in that function. LLVM keeps to 256 bits on
 # AVX-512 processors; 512 bits are up to 1.6 times faster here (benchmarks/README.md). The
 # attribute belongs to one function, where numba's CPU settings would change every other library.
-wide_vectors = _no_vectors if _CONFIG.DISABLE_JIT else _wide_vectors
+wide_vectors = _no_vectors if INTERPRETED else _wide_vectors
 
 
 @intrinsic
@@ -185,43 +185,4 @@ def _heap_array(rows: int, columns: int) -> np.ndarray:
 # An uninitialised (rows, columns) float64 array that lives until the calling function, which must
 # be `standalone`, returns. LLVM knows that no two of these overlap, so that loops over them need
 # no overlap checks at run time; for arrays of 16 columns those cost as much as the loops.
-stack_array = _heap_array if _CONFIG.DISABLE_JIT else _stack_array
-
-
-@intrinsic
-def _bits_of(typing_context, number):
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.IntType(64))
-
-    return types.int64(types.float64), codegen
-
-
-@intrinsic
-def _float_of(typing_context, bits):
-    def codegen(context, builder, signature, arguments):
-        return builder.bitcast(arguments[0], ir.DoubleType())
-
-    return types.float64(types.int64), codegen
-
-
-def inverse_sqrt(x: float) -> float:
-    """Return ``1/sqrt(x)`` to 2e-16 for any positive normal number `x`; anything for another.
-
-    Compiled, it is a guess from the exponent bits (3.5 % off), a quadratic fitted to the
-    range of that guess (2.5e-5 off) and one step of fourth order. It needs 15 operations that all
-    vectorise, where the divider needs some 40 cycles for eight numbers, and unlike a single
-    precision estimate it keeps the whole range of the exponent.
-    """
-    return 1.0 / math.sqrt(x)
-
-
-@overloaded(inverse_sqrt)
-def _(x):
-    def compiled_inverse_sqrt(x):
-        y = _float_of(0x5FE6EB50C7B537A9 - (_bits_of(x) >> 1))
-        h = 1.0 - x * y * y
-        y = y * (1.0000002120398663 + h * (0.5010991420705498 + h * 0.3755058620157817))
-        h = 1.0 - x * y * y
-        return y + y * h * (0.5 + h * (0.375 + h * 0.3125))
-
-    return compiled_inverse_sqrt
+stack_array = _heap_array if INTERPRETED else _stack_array

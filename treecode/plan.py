@@ -104,16 +104,12 @@ class Plan:
         targets = None if targets is None else check.points("targets", targets)
         self._seconds = {}
         with self._stage("tree"):
-            # Near the origin coordinates are finest, wherever the user has put the points.
-            origin = np.zeros(3)
-            if len(sources):
-                origin = 0.5 * sources.min(axis=0) + 0.5 * sources.max(axis=0)
-            self._sources = np.ascontiguousarray((sources - origin).T)
+            self._sources = np.array(sources.T, order="C")  # a copy: the tree sorts it
             self._tree, self._order = self._module.build(self._sources, self.leaf_size)
             if targets is None:
                 self._targets, self._target_order = self._sources, self._order
             else:
-                self._targets = np.ascontiguousarray((targets - origin).T)
+                self._targets = np.array(targets.T, order="C")
                 _, self._target_order = build_tree(self._targets, BATCH_SIZE, shrink=False)
             self._distance2 = self._module.distance2(self._tree, self.theta)
             self._expansion = self._module.prepare(self.kernel, self._tree, self.degree)

@@ -8,13 +8,14 @@ import numpy as np
 from numba import prange
 
 from treecode._jit import Driver, inlined, method_hook, standalone
+from treecode._lanes import LANES
 from treecode.kernels.base import SMALLEST, strength_row, weights
 from treecode.pairs import accumulate
 from treecode.tree import Tree
 
 # Targets that go down the tree together: enough to share the set-up of a far field, few enough
 # that every thread has work and that their sums stay in the first-level cache.
-BATCH_SIZE = 256
+BATCH_SIZE = 512
 
 
 def acceptance(tree: Tree, theta: float) -> np.ndarray:
@@ -80,7 +81,7 @@ def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity,
     near_pairs = 0
     far_pairs = 0
     stack[0, 0] = 0
-    stack[0, 1] = block.shape[1]
+    stack[0, 1] = len(identity)
     height = 1
     while height > 0:
         height -= 1
@@ -111,7 +112,7 @@ def _evaluate_batch(
 ):
     first = batch * BATCH_SIZE
     size = min(BATCH_SIZE, targets.shape[1] - first)
-    block = np.zeros((3 + values.shape[1], size))
+    block = np.zeros((3 + values.shape[1], size + LANES - 1))
     identity = np.empty(size, np.int64)
     for i in range(size):
         identity[i] = order[first + i]

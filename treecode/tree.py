@@ -118,8 +118,8 @@ def _enter(box, middle, octant):
     """Replace `box` by its child number `octant`."""
     for d in range(3):
         if middle[d] < math.inf:
-            if octant >> d & 1:
-                box[d] = middle[d]
+            if octant >> d & 1:  # of neighbouring numbers only the upper one is above the middle
+                box[d] = middle[d] if middle[d] > box[d] else box[3 + d]
             else:
                 box[3 + d] = middle[d]
 

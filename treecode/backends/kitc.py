@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode._jit import inlined, standalone, wide_vectors
+from treecode._lanes import LANES
 from treecode.kernels.base import MEMBERS, SMALLEST, Kernel
 from treecode.pairs import accumulate
 from treecode.traversal import acceptance
@@ -40,9 +41,16 @@ class Interpolation(NamedTuple):
         return self.slot[cluster] >= 0
 
     def approximate(self, kernel, tree, cluster, targets, first, last, out):
-        proxies = _proxies(self.nodes, tree.center[:, cluster], tree.half[:, cluster])
+        # Relative to the centre: far from the origin a proxy would be rounded to the spacing of
+        # the coordinates there, which may be coarse for the size of the box.
+        relative = np.zeros((3, last - first + LANES - 1))
+        for d in range(3):
+            for i in range(last - first):
+                relative[d, i] = targets[d, first + i] - tree.center[d, cluster]
+        proxies = _proxies(self.nodes, tree.half[:, cluster])
         weights = self.weights[self.slot[cluster]]
-        accumulate(kernel, targets, first, last, proxies, weights, 0, proxies.shape[1], out)
+        out = out[:, first:last]
+        accumulate(kernel, relative, 0, last - first, proxies, weights, 0, proxies.shape[1], out)
 
     def terms(self):
         return len(self.nodes) ** 3
@@ -82,17 +90,17 @@ def update(expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: n
 
 
 @inlined
-def _proxies(nodes, center, half):
-    """Return the tensor product grid of Chebyshev points in a box, (3, (n + 1)^3)."""
+def _proxies(nodes, half):
+    """Return the grid of Chebyshev points in a box around the origin, (3, (n + 1)^3)."""
     n = len(nodes)
     grid = np.empty((3, n * n * n))
     row = 0
     for k1 in range(n):
         for k2 in range(n):
             for k3 in range(n):
-                grid[0, row] = center[0] + half[0] * nodes[k1]
-                grid[1, row] = center[1] + half[1] * nodes[k2]
-                grid[2, row] = center[2] + half[2] * nodes[k3]
+                grid[0, row] = half[0] * nodes[k1]
+                grid[1, row] = half[1] * nodes[k2]
+                grid[2, row] = half[2] * nodes[k3]
                 row += 1
     return grid
 

@@ -27,13 +27,13 @@ import numpy as np
 
 from treecode._jit import (
     inlined,
-    inverse_sqrt,
     method_hook,
     stack_array,
     standalone,
     wide_vectors,
 )
-from treecode.kernels.base import LANES, MEMBERS, Kernel
+from treecode._lanes import inverse_sqrt
+from treecode.kernels.base import COLUMNS, MEMBERS, Kernel
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 from treecode.upward import fill
@@ -57,17 +57,17 @@ class TaylorKernel(Kernel, Protocol):
     contractions: tuple[tuple[int, int, int], ...]
 
     def taylor(self, k, up, psi, chi, x, m, out) -> None:
-        """Add the terms of multi-index number `k` to ``out[:, :LANES]``.
+        """Add the terms of multi-index number `k` to ``out[:, :COLUMNS]``.
 
         ``up[i, k]`` is the number of k + e_i; `psi` and `chi` hold the derivatives (number of
-        the multi-index, lane); `x` the vectors from the centre to the targets (3, LANES); `m`
+        the multi-index, column); `x` the vectors from the centre to the targets (3, COLUMNS); `m`
         the moments (weights, then contractions; number of the multi-index).
         """
 
 
 @method_hook
 def taylor(self: Any, k, up, psi, chi, x, m, out) -> None:
-    """Add the terms of one multi-index to the sums of all lanes."""
+    """Add the terms of one multi-index to the sums of all columns."""
     self.taylor(k, up, psi, chi, x, m, out)
 
 
@@ -126,8 +126,8 @@ class Expansion(NamedTuple):
     def approximate(self, kernel, tree, cluster, targets, first, last, out):
         moments = self.moments[self.slot[cluster]]
         center = tree.center[:, cluster]
-        for low in range(first, last, LANES):
-            _evaluate(self, kernel, center, moments, targets, low, min(low + LANES, last), out)
+        for low in range(first, last, COLUMNS):
+            _evaluate(self, kernel, center, moments, targets, low, min(low + COLUMNS, last), out)
 
     def terms(self):
         return self.summed
@@ -203,25 +203,25 @@ def update(expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.nd
 
 @standalone
 def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
-    """Add the expansion about `center` at up to `LANES` targets."""
+    """Add the expansion about `center` at up to `COLUMNS` targets."""
     wide_vectors()
     eps2 = expansion.epsilon * expansion.epsilon
-    x = stack_array(3, LANES)
-    psi = stack_array(expansion.outer, LANES)
-    chi = stack_array(expansion.inner, LANES)
-    sums = stack_array(out.shape[0], LANES)
-    inverse2 = stack_array(1, LANES)
-    row = stack_array(1, LANES)
-    for t in range(LANES):
+    x = stack_array(3, COLUMNS)
+    psi = stack_array(expansion.outer, COLUMNS)
+    chi = stack_array(expansion.inner, COLUMNS)
+    sums = stack_array(out.shape[0], COLUMNS)
+    inverse2 = stack_array(1, COLUMNS)
+    row = stack_array(1, COLUMNS)
+    for t in range(COLUMNS):
         i = min(first + t, last - 1)
         for d in range(3):
             x[d, t] = targets[d, i] - center[d]
-    for t in range(LANES):
+    for t in range(COLUMNS):
         inverse = inverse_sqrt(x[0, t] * x[0, t] + x[1, t] * x[1, t] + x[2, t] * x[2, t] + eps2)
         psi[0, t] = inverse
         inverse2[0, t] = inverse * inverse
     for c in range(out.shape[0]):
-        for t in range(LANES):
+        for t in range(COLUMNS):
             sums[c, t] = 0.0
     # T eq. (15), for derivatives not divided by factorials.
     for k in range(1, expansion.outer):
@@ -229,13 +229,13 @@ def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
         b1, b2, b3 = expansion.factor2[0, k], expansion.factor2[1, k], expansion.factor2[2, k]
         i1, i2, i3 = expansion.down[0, k], expansion.down[1, k], expansion.down[2, k]
         j1, j2, j3 = expansion.down2[0, k], expansion.down2[1, k], expansion.down2[2, k]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             first_order = (
                 a1 * x[0, t] * psi[i1, t] + a2 * x[1, t] * psi[i2, t] + a3 * x[2, t] * psi[i3, t]
             )
             second_order = b1 * psi[j1, t] + b2 * psi[j2, t] + b3 * psi[j3, t]
             row[0, t] = (first_order - second_order) * inverse2[0, t]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             psi[k, t] = row[0, t]
     if eps2 > 0.0:
         for n in range(expansion.inner):
@@ -245,7 +245,7 @@ def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
                 expansion.exponents[k, 0] + expansion.exponents[k, 1] + expansion.exponents[k, 2]
             )
             i1, i2, i3 = expansion.up[0, k], expansion.up[1, k], expansion.up[2, k]
-            for t in range(LANES):
+            for t in range(COLUMNS):
                 slope = x[0, t] * psi[i1, t] + x[1, t] * psi[i2, t] + x[2, t] * psi[i3, t]
                 chi[k, t] = 0.5 * ((3 + degree) * psi[k, t] - slope)
     for k in range(expansion.summed):
@@ -260,15 +260,15 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
     """Add the particles ``start:stop`` to the moments of `cluster`."""
     wide_vectors()
     moments = expansion.moments[expansion.slot[cluster]]
-    x = stack_array(3, LANES)
-    power = stack_array(expansion.summed, LANES)
-    row = stack_array(1, LANES)
-    for low in range(start, stop, LANES):
-        size = min(LANES, stop - low)
+    x = stack_array(3, COLUMNS)
+    power = stack_array(expansion.summed, COLUMNS)
+    row = stack_array(1, COLUMNS)
+    for low in range(start, stop, COLUMNS):
+        size = min(COLUMNS, stop - low)
         for d in range(3):
-            for t in range(LANES):
+            for t in range(COLUMNS):
                 x[d, t] = sources[d, low + t] - tree.center[d, cluster] if t < size else 0.0
-        for t in range(LANES):
+        for t in range(COLUMNS):
             power[0, t] = 1.0 if t < size else 0.0
         for k in range(1, expansion.summed):
             axis = 0
@@ -276,18 +276,18 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
                 axis += 1
             inverse = 1.0 / expansion.exponents[k, axis]
             below = expansion.down[axis, k]
-            for t in range(LANES):
+            for t in range(COLUMNS):
                 row[0, t] = power[below, t] * x[axis, t] * inverse
-            for t in range(LANES):
+            for t in range(COLUMNS):
                 power[k, t] = row[0, t]
         for c in range(weights.shape[0]):
             for t in range(size):
                 row[0, t] = weights[c, low + t]
-            for t in range(size, LANES):
+            for t in range(size, COLUMNS):
                 row[0, t] = 0.0
             for k in range(expansion.summed):
                 total = 0.0
-                for t in range(LANES):
+                for t in range(COLUMNS):
                     total += row[0, t] * power[k, t]
                 moments[c, k] += total
 

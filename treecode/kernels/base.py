@@ -6,13 +6,14 @@ from sys import float_info
 from typing import Any, Protocol
 
 from treecode._jit import method_hook, overloaded
+from treecode._lanes import no_lanes
 
 # Smallest normal number, DBL_MIN. Two points coincide if the square of their distance is below it.
 SMALLEST = float_info.min
 
 
 # Targets, or particles, that go through a table of Taylor terms together: two vectors of AVX-512.
-LANES = 16
+COLUMNS = 16
 
 
 # What `check.kernel` asks for; the protocol below says what each is.
@@ -23,8 +24,9 @@ class Kernel(Protocol):
     """The contract of a kernel K(x, y): a NamedTuple of its parameters with these members.
 
     The sum is ``out(x_i) = sum_j K(x_i, y_j) q_j``. Methods are plain Python; the package compiles
-    them into its loops. They may use arithmetic, ``math`` and `treecode.inverse_sqrt`, and must
-    not branch: write ``a if c else b``. docs/add-a-kernel.md is a guide.
+    them into its loops. In `pair` distances and `acc` are lanes, many targets at once: use
+    arithmetic, `treecode.inverse_sqrt`, and `treecode.where` for ``if``. docs/add-a-kernel.md is
+    a guide.
 
     Attributes
     ----------
@@ -62,14 +64,26 @@ def weights(self: Any, q: tuple) -> tuple:
 
 
 def zero(kernel: Any) -> tuple:
-    """Return the empty accumulator of a kernel."""
-    return (0.0,) * kernel.value_size
+    """Return the empty accumulator of a kernel, lanes of zeros."""
+    return _zeros((0.0,) * kernel.value_size)
 
 
 @overloaded(zero)
 def _(kernel):
-    nothing = (0.0,) * kernel.instance_class.value_size
-    return lambda kernel: nothing
+    like = (0.0,) * kernel.instance_class.value_size
+    return lambda kernel: _zeros(like)
+
+
+def _zeros(like: tuple) -> tuple:
+    """Return as many lanes of zeros as `like` has entries; a tuple's length is part of its type."""
+    return like
+
+
+@overloaded(_zeros)
+def _(like):
+    if len(like) == 1:
+        return lambda like: (no_lanes(),)
+    return lambda like: (*_zeros(like[1:]), no_lanes())
 
 
 def weight_column(kernel: Any, array: Any, j: int) -> tuple:

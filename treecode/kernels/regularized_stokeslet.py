@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from treecode._jit import inverse_sqrt
-from treecode.kernels.base import LANES
+from treecode._lanes import inverse_sqrt
+from treecode.kernels.base import COLUMNS
 from treecode.kernels.blob import Blob
 
 
@@ -55,7 +55,7 @@ class RegularizedStokeslet(Blob):
         # u = (2 chi - psi) f + (r . f) nabla psi
         m1, m2, m3, inner = m[0, k], m[1, k], m[2, k], m[3, k]
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             h1 = 2.0 * chi[k, t] - psi[k, t]
             s = x[0, t] * m1 + x[1, t] * m2 + x[2, t] * m3 - inner
             out[0, t] += h1 * m1 + s * psi[k1, t]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from treecode._jit import inverse_sqrt
-from treecode.kernels.base import LANES
+from treecode._lanes import inverse_sqrt
+from treecode.kernels.base import COLUMNS
 from treecode.kernels.blob import Blob
 
 
@@ -78,7 +78,7 @@ class RegularizedStokesletRotlet(Blob):
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
         k11, k12, k13 = up[0, k1], up[0, k2], up[0, k3]
         k22, k23, k33 = up[1, k2], up[1, k3], up[2, k3]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             h1 = 2.0 * chi[k, t] - psi[k, t]
             s = x[0, t] * f1 + x[1, t] * f2 + x[2, t] * f3 - inner
             c1, c2, c3 = chi[k1, t], chi[k2, t], chi[k3, t]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from treecode._jit import inverse_sqrt
-from treecode.kernels.base import LANES, SMALLEST
+from treecode._lanes import inverse_sqrt, where
+from treecode.kernels.base import COLUMNS, SMALLEST
 
 
 class _Parameters(NamedTuple):
@@ -33,7 +33,7 @@ class Stokeslet(_Parameters):
 
     def pair(self, dx, dy, dz, w, acc):
         r2 = dx * dx + dy * dy + dz * dz
-        psi = inverse_sqrt(r2) if r2 >= SMALLEST else 0.0
+        psi = where(r2 >= SMALLEST, inverse_sqrt(r2), 0.0)
         ex, ey, ez = dx * psi, dy * psi, dz * psi
         s = psi * (w[0] * ex + w[1] * ey + w[2] * ez)
         return (
@@ -46,7 +46,7 @@ class Stokeslet(_Parameters):
         # u = psi f + (r . f) nabla psi
         m1, m2, m3, inner = m[0, k], m[1, k], m[2, k], m[3, k]
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             h1 = psi[k, t]
             s = x[0, t] * m1 + x[1, t] * m2 + x[2, t] * m3 - inner
             out[0, t] += h1 * m1 + s * psi[k1, t]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from treecode._jit import inverse_sqrt
-from treecode.kernels.base import LANES, SMALLEST
+from treecode._lanes import inverse_sqrt, where
+from treecode.kernels.base import COLUMNS, SMALLEST
 
 
 class _Parameters(NamedTuple):
@@ -47,7 +47,7 @@ class StokesletStresslet(_Parameters):
     def pair(self, dx, dy, dz, w, acc):
         f1, f2, f3, xx, yy, zz, xy, xz, yz = w
         r2 = dx * dx + dy * dy + dz * dz
-        psi = inverse_sqrt(r2) if r2 >= SMALLEST else 0.0
+        psi = where(r2 >= SMALLEST, inverse_sqrt(r2), 0.0)
         ex, ey, ez = dx * psi, dy * psi, dz * psi
         stress = (
             ex * (xx * ex + 2.0 * (xy * ey + xz * ez))
@@ -66,7 +66,7 @@ class StokesletStresslet(_Parameters):
         k1, k2, k3 = up[0, k], up[1, k], up[2, k]
         k11, k12, k13 = up[0, k1], up[0, k2], up[0, k3]
         k22, k23, k33 = up[1, k2], up[1, k3], up[2, k3]
-        for t in range(LANES):
+        for t in range(COLUMNS):
             x1, x2, x3 = x[0, t], x[1, t], x[2, t]
             p1, p2, p3 = psi[k1, t], psi[k2, t], psi[k3, t]
             h1 = psi[k, t]
