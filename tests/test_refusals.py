@@ -114,6 +114,7 @@ def no_work(monkeypatch):
         monkeypatch.setattr(f"treecode.backends.{backend}.build", work)
 
 
+@pytest.mark.interpreted
 @pytest.mark.usefixtures("no_work")
 @pytest.mark.parametrize(("name", "value", "words"), CALLS, ids=described)
 def test_argument_is_refused(name, value, words):
@@ -124,6 +125,7 @@ def test_argument_is_refused(name, value, words):
         tc.evaluate(call.pop("kernel"), call.pop("sources"), **call)
 
 
+@pytest.mark.interpreted
 @pytest.mark.parametrize("value", [*BAD_NUMBERS, 0, 0.0, -0.1, 1e-61, 1e61], ids=described)
 @pytest.mark.parametrize("name", ["epsilon", "viscosity"])
 @pytest.mark.parametrize("kernel", [tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet])

@@ -15,7 +15,7 @@ SMALLEST_PARAMETER, LARGEST_PARAMETER = 1e-60, 1e60
 def number(name: str, value: Any, low: float, high: float) -> float:
     """Return `value` as a float strictly between `low` and `high`."""
     allowed = f"{name} must be a number between {low:g} and {high:g} (exclusive), got {value!r}"
-    if isinstance(value, (str, bytes, bool)):
+    if isinstance(value, (str, bytes, bool, np.bool_)):
         raise TypeError(allowed)
     try:
         result = float(value)

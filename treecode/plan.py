@@ -138,8 +138,7 @@ class Plan:
         FloatingPointError
             If the sum leaves the range of float64.
         """
-        if not hasattr(self, "_sources"):
-            raise RuntimeError("set_points must be called before execute")
+        self._require_points()
         strengths = check.rows(
             "strengths", strengths, self.kernel.strength_size, self._sources.shape[1]
         )
@@ -175,6 +174,7 @@ class Plan:
         `near_pairs` (target and source) and `far_pairs` (target and term of an expansion) are
         those of the last `execute`, None before it. `bytes` is what the plan holds between calls.
         """
+        self._require_points()
         held = [self._sources, self._order, self._distance2, *self._tree]
         held += [a for a in self._expansion if isinstance(a, np.ndarray)]
         if self._targets is not self._sources:
@@ -220,6 +220,10 @@ class Plan:
         )
         return relative_error(values[self._target_order[drawn]], exact)
 
+    def _require_points(self) -> None:
+        if not hasattr(self, "_sources"):
+            raise RuntimeError("set_points must be called first")
+
     @contextmanager
     def _stage(self, name: str) -> Iterator[None]:
         start = time.perf_counter()
@@ -261,7 +265,10 @@ def evaluate(
     -------
     (M, value_size) float64 ndarray
     """
-    return Plan(kernel, **options).set_points(points, targets).execute(strengths)
+    plan = Plan(kernel, **options)
+    points = check.points("sources", points)
+    strengths = check.rows("strengths", strengths, kernel.strength_size, len(points))
+    return plan.set_points(points, targets).execute(strengths)
 
 
 def relative_error(values: np.ndarray, exact: np.ndarray) -> float:

@@ -39,7 +39,14 @@ from treecode.tree import Tree, build_tree
 from treecode.upward import fill
 
 MIN_DEGREE = 0
-KERNEL_MEMBERS = (*MEMBERS, "derivatives", "contractions", "taylor")
+KERNEL_MEMBERS = (
+    *MEMBERS,
+    "derivatives",
+    "contractions",
+    "weight_lengths",
+    "value_lengths",
+    "taylor",
+)
 
 
 class TaylorKernel(Kernel, Protocol):
@@ -51,10 +58,15 @@ class TaylorKernel(Kernel, Protocol):
         Highest derivative of psi in the kernel.
     contractions : tuple of (int, int, int)
         For each triple (a, b, c) of weights, the factor ``w_a r_1 + w_b r_2 + w_c r_3`` is needed.
+    weight_lengths, value_lengths : tuple of int
+        With lengths L times larger, value i of weight j is
+        ``L**(value_lengths[i] + weight_lengths[j])`` times smaller.
     """
 
     derivatives: int
     contractions: tuple[tuple[int, int, int], ...]
+    weight_lengths: tuple[int, ...]
+    value_lengths: tuple[int, ...]
 
     def taylor(self, k, up, psi, chi, x, m, out) -> None:
         """Add the terms of multi-index number `k` to ``out[:, :COLUMNS]``.
@@ -85,6 +97,12 @@ class Expansion(NamedTuple):
         How many multi-indices have a sum up to the order; up to the highest derivative of chi;
         and up to the highest derivative of psi.
     epsilon : float
+        In the unit of length.
+    scale : float
+        One over the unit of length, a power of two near the radius of the root: powers of distances
+        stay in the range of doubles in whatever unit the user has them.
+    weight_scale, value_scale : (weight_size,) and (value_size,) float64
+        What the unit makes of weights and values.
     exponents : (outer, 3) int64
         The multi-indices.
     rows : (inner,) uintp
@@ -108,6 +126,9 @@ class Expansion(NamedTuple):
     inner: int
     outer: int
     epsilon: float
+    scale: float
+    weight_scale: np.ndarray
+    value_scale: np.ndarray
     exponents: np.ndarray
     rows: np.ndarray
     up: np.ndarray
@@ -171,6 +192,8 @@ def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
             np.uintp,  # a signed index is tested for its sign at every access
         )
 
+    radius = tree.radius.max(initial=0.0)
+    scale = 2.0 ** -np.frexp(radius)[1] if radius > 0.0 else 1.0
     contractions = np.array(kernel.contractions, np.int64).reshape(-1, 3)
     shape = (np.count_nonzero(worth), kernel.weight_size + len(contractions), summed)
     return Expansion(
@@ -178,7 +201,10 @@ def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
         summed=summed,
         inner=inner,
         outer=outer,
-        epsilon=float(getattr(kernel, "epsilon", 0.0)),
+        epsilon=float(getattr(kernel, "epsilon", 0.0)) * scale,
+        scale=scale,
+        weight_scale=scale ** np.array(kernel.weight_lengths, np.float64),
+        value_scale=scale ** np.array(kernel.value_lengths, np.float64),
         exponents=exponents,
         rows=np.arange(inner, dtype=np.uintp),
         up=shifted(exponents[:inner], 1),
@@ -215,7 +241,7 @@ def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
     for t in range(COLUMNS):
         i = min(first + t, last - 1)
         for d in range(3):
-            x[d, t] = targets[d, i] - center[d]
+            x[d, t] = (targets[d, i] - center[d]) * expansion.scale
     for t in range(COLUMNS):
         inverse = inverse_sqrt(x[0, t] * x[0, t] + x[1, t] * x[1, t] + x[2, t] * x[2, t] + eps2)
         psi[0, t] = inverse
@@ -252,7 +278,7 @@ def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
         taylor(kernel, k, expansion.up, psi, chi, x, moments, sums)
     for c in range(out.shape[0]):
         for i in range(first, last):
-            out[c, i] += sums[c, i - first]
+            out[c, i] += sums[c, i - first] * expansion.value_scale[c]
 
 
 @standalone
@@ -267,7 +293,8 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
         size = min(COLUMNS, stop - low)
         for d in range(3):
             for t in range(COLUMNS):
-                x[d, t] = sources[d, low + t] - tree.center[d, cluster] if t < size else 0.0
+                offset = sources[d, low + t] - tree.center[d, cluster] if t < size else 0.0
+                x[d, t] = offset * expansion.scale
         for t in range(COLUMNS):
             power[0, t] = 1.0 if t < size else 0.0
         for k in range(1, expansion.summed):
@@ -282,7 +309,7 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
                 power[k, t] = row[0, t]
         for c in range(weights.shape[0]):
             for t in range(size):
-                row[0, t] = weights[c, low + t]
+                row[0, t] = weights[c, low + t] * expansion.weight_scale[c]
             for t in range(size, COLUMNS):
                 row[0, t] = 0.0
             for k in range(expansion.summed):
@@ -303,7 +330,7 @@ def _gather_child(expansion, tree, cluster, child):
         axis = 0
         while expansion.exponents[k, axis] == 0:
             axis += 1
-        step = tree.center[axis, child] - tree.center[axis, cluster]
+        step = (tree.center[axis, child] - tree.center[axis, cluster]) * expansion.scale
         shift[k] = shift[expansion.down[axis, k]] * step / expansion.exponents[k, axis]
     for k in range(expansion.summed):
         k1, k2, k3 = expansion.exponents[k, 0], expansion.exponents[k, 1], expansion.exponents[k, 2]

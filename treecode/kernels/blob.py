@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from treecode import check
 
@@ -21,3 +22,7 @@ class Blob(_Parameters):
         return super().__new__(
             cls, check.positive("epsilon", epsilon), check.positive("viscosity", viscosity)
         )
+
+    @classmethod
+    def _make(cls, iterable: Iterable[Any]) -> Any:  # what _replace calls
+        return cls(*iterable)

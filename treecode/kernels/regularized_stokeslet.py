@@ -37,6 +37,8 @@ class RegularizedStokeslet(Blob):
     value_size = 3
     derivatives = 1
     contractions = ((0, 1, 2),)
+    weight_lengths = (0, 0, 0)
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         scale = 1.0 / (8.0 * math.pi * self.viscosity)

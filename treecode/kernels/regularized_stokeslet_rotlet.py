@@ -41,14 +41,17 @@ class RegularizedStokesletRotlet(Blob):
     value_size = 6
     derivatives = 3
     contractions = ((0, 1, 2),)
+    weight_lengths = (0, 0, 0, 1, 1, 1)
+    value_lengths = (1, 1, 1, 2, 2, 2)
 
     def weights(self, q):
         s = 1.0 / (8.0 * math.pi * self.viscosity)
         return q[0] * s, q[1] * s, q[2] * s, q[3] * s, q[4] * s, q[5] * s
 
     def pair(self, dx, dy, dz, w, acc):
-        # With psi = 1/R and t = (eps psi)^2, the factor 1/(8 pi) left out: H1 = psi (1 + t),
-        # H2 = psi^3, Q = psi^3 (2 + 3 t), D1 = psi^3 (15 t^2 - 3 t - 2), D2 = psi^5 (6 + 15 t).
+        # With psi = 1/R, t = (eps psi)^2 and e = r psi, the factor 1/(8 pi) left out:
+        # H1 = psi (1 + t), H2 = psi^3, Q = psi^3 (2 + 3 t), D1 = psi^3 (15 t^2 - 3 t - 2),
+        # D2 r r = psi^3 (6 + 15 t) e e.
         f1, f2, f3, n1, n2, n3 = w
         eps2 = self.epsilon * self.epsilon
         psi = inverse_sqrt(dx * dx + dy * dy + dz * dz + eps2)
@@ -59,14 +62,15 @@ class RegularizedStokesletRotlet(Blob):
         s = psi3 * (f1 * dx + f2 * dy + f3 * dz)
         q = psi3 * (1.0 + 1.5 * t)
         d1 = psi3 * (t * (3.75 * t - 0.75) - 0.5)
-        d2 = psi3 * psi2 * (1.5 + 3.75 * t) * (n1 * dx + n2 * dy + n3 * dz)
+        ex, ey, ez = dx * psi, dy * psi, dz * psi
+        d2 = psi3 * (1.5 + 3.75 * t) * (n1 * ex + n2 * ey + n3 * ez)
         return (
             acc[0] + f1 * h1 + s * dx + q * (n2 * dz - n3 * dy),
             acc[1] + f2 * h1 + s * dy + q * (n3 * dx - n1 * dz),
             acc[2] + f3 * h1 + s * dz + q * (n1 * dy - n2 * dx),
-            acc[3] + n1 * d1 + d2 * dx + q * (f2 * dz - f3 * dy),
-            acc[4] + n2 * d1 + d2 * dy + q * (f3 * dx - f1 * dz),
-            acc[5] + n3 * d1 + d2 * dz + q * (f1 * dy - f2 * dx),
+            acc[3] + n1 * d1 + d2 * ex + q * (f2 * dz - f3 * dy),
+            acc[4] + n2 * d1 + d2 * ey + q * (f3 * dx - f1 * dz),
+            acc[5] + n3 * d1 + d2 * ez + q * (f1 * dy - f2 * dx),
         )
 
     def taylor(self, k, up, psi, chi, x, m, out):

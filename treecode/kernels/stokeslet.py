@@ -27,6 +27,8 @@ class Stokeslet(_Parameters):
     value_size = 3
     derivatives = 1
     contractions = ((0, 1, 2),)
+    weight_lengths = (0, 0, 0)
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q

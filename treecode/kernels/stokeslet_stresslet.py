@@ -27,6 +27,8 @@ class StokesletStresslet(_Parameters):
     value_size = 3
     derivatives = 2
     contractions = ((0, 1, 2), (3, 6, 7), (6, 4, 8), (7, 8, 5))
+    weight_lengths = (0, 0, 0, 1, 1, 1, 1, 1, 1)
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         # The stresslet is symmetric in j and l, so only the symmetric part of h nu^T acts:
