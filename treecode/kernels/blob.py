@@ -24,5 +24,5 @@ class Blob(_Parameters):
         )
 
     @classmethod
-    def _make(cls, iterable: Iterable[Any]) -> Any:  # what _replace calls
+    def _make(cls, iterable: Iterable[Any]) -> Any:  # type: ignore[override]  # _replace calls it
         return cls(*iterable)
