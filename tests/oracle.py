@@ -159,15 +159,15 @@ def rounding(kernel, sources, strengths, targets=None):
     """Return how far rounding may take a direct sum in double precision, (M, value_size).
 
     A term is some 30 operations on the correctly rounded r, of which up to seven powers of 1/R
-    and the differences in D1 and r^2 accumulate; N terms are added. The floor is for products of
-    strengths and r below the smallest double: a power of 1/R makes what they lose larger again.
+    and the differences in D1 and r^2 accumulate; N terms are added. The floor is for numbers
+    below the smallest double: sums, and products of strengths and r before a power of 1/R.
     """
     n = len(strengths)
     targets = sources if targets is None else targets
     majorant = _contributions(kernel, sources, strengths, targets, EXTENDED, majorant=True)
     inverse = _distance2(kernel, sources, targets) ** np.longdouble(-0.5)
     power = max(channel.nu for channel in _CHANNELS[type(kernel).__name__]) - 1
-    floor = np.longdouble(2.0**-1074) * (inverse + inverse**power).sum(axis=1)[:, None]
+    floor = np.longdouble(2.0**-1074) * (1 + inverse**power).sum(axis=1)[:, None]
     return (32 + n) * (UNIT * majorant.sum(axis=1) + floor)
 
 
