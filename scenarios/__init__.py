@@ -1,1 +1,1 @@
-"""Scenes that run: one module each, to read and to copy. Still empty."""
+"""Scenes that run: one module each, to read and to copy."""

@@ -27,8 +27,29 @@ ALLOWED = {
     },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
-    "mrs": {"mrs", "treecode"},
-    "scenarios": {"scenarios", "mrs", "treecode"},
+    "mrs.check": {"treecode.check"},
+    "mrs.rotations": set(),
+    "mrs.state": {"mrs.rotations"},
+    "mrs.integrators": {"mrs.integrators"},
+    "mrs.output": {"mrs.output"},
+    "mrs.bodies": set(),
+    "mrs.geometry": {"mrs.check", "mrs.rotations"},
+    "mrs.flows": {"mrs.check"},
+    "mrs.steric": {"mrs.check"},
+    "mrs.tracers": {"mrs.bodies", "mrs.check"},
+    "mrs.swimmers": {"mrs.bodies", "mrs.check", "mrs.rotations"},
+    "mrs.rods": {"mrs.bodies", "mrs.check", "mrs.geometry", "mrs.rotations"},
+    "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
+    "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
+    "mrs.rundir": set(),
+    "mrs.trackers": {"mrs.check", "mrs.output", "mrs.rundir", "mrs.simulation"},  # its type
+    "mrs.simulation": {
+        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.rundir", "mrs.state",
+        "mrs.stepper", "mrs.steric", "mrs.trackers",
+    },
+    "mrs.scenario": {"mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
+    "mrs": {"mrs"},
+    "scenarios": {"mrs"},
 }  # fmt: skip
 
 SOURCES = [

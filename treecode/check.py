@@ -47,9 +47,10 @@ def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
     return value
 
 
-def integer(name: str, value: Any, low: int, high: int) -> int:
+def integer(name: str, value: Any, low: int, high: int = 2**62) -> int:
     """Return `value` as an int from `low` to `high`."""
-    allowed = f"{name} must be an integer from {low} to {high}, got {value!r}"
+    limits = f"of at least {low}" if high == 2**62 else f"from {low} to {high}"
+    allowed = f"{name} must be an integer {limits}, got {value!r}"
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(allowed)
     if not low <= value <= high:

@@ -1,6 +1,6 @@
 """Random forces in a cube: one sum by each treecode, its time and its error.
 
-python -m scenarios.random_forces [--points 100000]
+python benchmarks/random_forces.py [--points 100000]
 """
 
 from __future__ import annotations

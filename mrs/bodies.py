@@ -1,0 +1,90 @@
+"""What the simulation asks of a body: rods, swimmers and tracers are such bodies."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+
+class Body:
+    """Material points in the fluid, some of which carry a triad.
+
+    A body owns a slice of the state: `positions`, (n, 3), which move with a velocity, and
+    `quaternions`, (m, 4), m = n or 0, which turn with an angular velocity. It puts forces, and
+    torques if `has_torque`, on the fluid at its *points*, and is told the velocity there, and the
+    angular velocity if `has_spin`.
+
+    Attributes
+    ----------
+    kind, name : str
+        The class of body, and what the files of this one are called.
+    positions, quaternions : ndarray
+        The state at time zero.
+    length_scale : float
+        Errors of positions are judged against it.
+    """
+
+    kind: str
+    name: str
+    positions: np.ndarray
+    quaternions: np.ndarray
+    length_scale: float
+    has_force = True
+    has_torque = False
+    has_spin = False
+
+    def epsilons(self, default: float) -> np.ndarray:
+        """Return the blob size at each point, (p,); `default` is the fluid's."""
+        raise NotImplementedError
+
+    def points(self, positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+        """Return where forces act and velocities are wanted, (p, 3)."""
+        return positions
+
+    def loads(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Return the forces and torques on the fluid at the points, (p, 3) each."""
+        raise NotImplementedError
+
+    def rates(
+        self,
+        time: float,
+        positions: np.ndarray,
+        quaternions: np.ndarray,
+        velocity: np.ndarray,
+        spin: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return velocities of the positions, (n, 3), and angular velocities, (m, 3)."""
+        raise NotImplementedError
+
+    def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return for each point the number of its connected piece, its place, the piece's round.
+
+        (p,) each; the round is the length of a closed piece, infinite for an open one.
+        """
+        raise NotImplementedError
+
+    def energy(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> float:
+        """Return the elastic energy."""
+        return 0.0
+
+    def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return which points are drawn as vertices, and the polylines through points."""
+        raise NotImplementedError
+
+    def constant_fields(
+        self, epsilons: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return arrays at points and at cells that do not change; `epsilons` is (p,)."""
+        raise NotImplementedError
+
+    def fields(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return arrays at points and at cells for one frame.
+
+        `at_points` has force, torque, velocity and angular_velocity at the points, or None.
+        """
+        raise NotImplementedError

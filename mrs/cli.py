@@ -1,0 +1,297 @@
+"""The command line: run, resume, info, export, render, field, check."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+from mrs import runs, scenario
+from mrs.scenario import ScenarioError
+from mrs.simulation import Simulation, SimulationError
+from mrs.trackers import Progress
+
+_EPILOG = """\
+examples:
+  mrs run cilia_array --quick                      a small version, ends within seconds
+  mrs run swimmer_suspension --set count=200 --set stroke=puller --output outputs/pullers
+  mrs run my_scene.toml --max-walltime 3600        stops in good order after an hour
+  mrs resume outputs/pullers                       goes on from the last checkpoint
+  mrs render outputs/pullers --output movie.mp4
+"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; return the exit status."""
+    options = _parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as ctrl-C: stop with a checkpoint
+    try:
+        return options.action(options) or 0
+    except KeyboardInterrupt:
+        print("stopped; go on with `mrs resume`", file=sys.stderr)
+        return 130
+    except (ScenarioError, SimulationError, ValueError, TypeError, OSError) as error:
+        print(f"mrs: {error}", file=sys.stderr)
+        return 1
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="mrs",
+        description="Elastic rods and swimmers in very viscous fluid, by regularized Stokeslets.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for name, (action, text, arguments) in _COMMANDS.items():
+        command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
+        command.set_defaults(action=action)
+        for flags, settings in arguments.items():
+            command.add_argument(*flags.split(), **settings)
+    return parser
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(word) for word in text.replace(" ", "").split(",")]
+
+
+def _run(options: argparse.Namespace) -> None:
+    name = options.scene
+    values: dict[str, Any] = {}
+    if name.endswith(".toml"):
+        name, values = runs.read_input(name)
+    for item in options.set:
+        _assign(values, item)
+    scene = scenario.make(name, values, quick=options.quick)
+    if options.options:
+        _print_options(scene)
+        return
+    directory = (
+        options.output
+        or Path("outputs") / scenario.name_of(type(scene)).removesuffix(".py").rpartition("/")[2]
+    )
+    sim = scene.simulation(directory, overwrite=options.overwrite)
+    sim.trackers.append(Progress())
+    sim.run(scene.t_end, max_walltime=options.max_walltime)
+    _report(sim, directory)
+    if sim.time >= scene.t_end:
+        print(scene.check(sim))
+    if options.picture:
+        from mrs.output.render import render
+
+        render(directory, directory / "picture.png")
+        print(directory / "picture.png")
+
+
+def _assign(values: dict[str, Any], item: str) -> None:
+    """Put "a.b=value" into nested dictionaries; a value is read as TOML, else it is text."""
+    path, separator, text = item.partition("=")
+    if not separator:
+        raise ScenarioError(f"--set: {item!r} must be KEY=VALUE")
+    *groups, last = path.strip().split(".")
+    for group in groups:
+        values = values.setdefault(group, {})
+    try:
+        values[last] = runs.tomllib.loads(f"value = {text}")["value"]
+    except runs.tomllib.TOMLDecodeError:
+        values[last] = text.strip()
+
+
+def _print_options(scene: scenario.Scenario) -> None:
+    values = scene.model_dump(mode="json")
+    for name, field in type(scene).model_fields.items():
+        print(f"{name} = {json.dumps(values[name])}\n    {field.description or ''}")
+
+
+def _report(sim: Simulation, directory: Path) -> None:
+    names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
+    print(
+        f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
+        f"{sim.stepper.rejections} rejected, {sim.mobility.evaluations} evaluations by {names}"
+    )
+
+
+def _resume(options: argparse.Namespace) -> None:
+    sim = runs.resume(
+        options.directory, options.t_end, [Progress()], max_walltime=options.max_walltime
+    )
+    _report(sim, options.directory)
+
+
+def _info(options: argparse.Namespace) -> None:
+    found = runs.info(options.directory)
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    state = "finished" if found["finished"] else "not finished"
+    print(
+        f"{found.get('scenario', 'script')}: t = {found['time']:g} of {found['run']['t_end']:g}, "
+        f"{found['steps']} steps, {state}"
+    )
+    for name, file in found["files"].items():
+        print(f"  {name}: {file['frames']} frames of {file['points']} points")
+
+
+def _check(options: argparse.Namespace) -> int:
+    names = [options.scene] if options.scene else [n for n in scenario.known() if n != "scene"]
+    passed = True
+    for name in names:
+        scene = scenario.make(name, {}, quick=not options.full)
+        result = scene.check(scene.simulation().run(scene.t_end))
+        print(f"{name}: {result}", flush=True)
+        passed &= result.passed
+    return 0 if passed else 1
+
+
+def _export(options: argparse.Namespace) -> None:
+    from mrs.output.export import export
+
+    files = export(options.directory, options.format, options.output)
+    print(f"{len(files)} files in {files[0].parent}")
+
+
+def _render(options: argparse.Namespace) -> None:
+    from mrs.output.render import render
+
+    destination = options.output or options.directory / "picture.png"
+    frame: Any = options.frame if destination.suffix == ".png" else "all"
+    camera = (
+        None if options.camera is None else [tuple(options.camera[i : i + 3]) for i in (0, 3, 6)]
+    )
+    render(
+        options.directory,
+        destination,
+        frame=frame,
+        color_by=options.color_by,
+        camera=camera,
+        size=(int(options.size[0]), int(options.size[1])),
+    )
+    print(destination)
+
+
+def _field(options: argparse.Namespace) -> None:
+    for path in runs.write_field(options.directory, options.frame, options.resolution):
+        print(path)
+
+
+_DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
+_WALLTIME = {
+    "--max-walltime": {"type": float, "metavar": "SECONDS", "help": "stop in good order after that"}
+}
+_FRAME = {"--frame": {"type": int, "default": -1, "help": "number of the frame (default the last)"}}
+
+# name: (action, what it does, arguments as argparse takes them)
+_COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
+    "run": (
+        _run,
+        "begin a run",
+        {
+            "scene": {
+                "metavar": "SCENARIO|FILE.toml|FILE.py",
+                "help": f"one of {', '.join(scenario.known())}; or a file",
+            },
+            "--quick": {"action": "store_true", "help": "a small version that ends within seconds"},
+            "--output": {
+                "type": Path,
+                "metavar": "DIR",
+                "help": "run directory (default outputs/SCENARIO)",
+            },
+            "--overwrite": {"action": "store_true", "help": "delete an earlier run there"},
+            "--set": {
+                "action": "append",
+                "default": [],
+                "metavar": "KEY=VALUE",
+                "help": "an option, such as t_end=2 or backend.name=kitc",
+            },
+            "--options": {"action": "store_true", "help": "list the options and stop"},
+            "--picture": {"action": "store_true", "help": "draw the last frame when done"},
+            **_WALLTIME,
+        },
+    ),
+    "resume": (
+        _resume,
+        "go on from the last checkpoint",
+        {
+            **_DIRECTORY,
+            "--t-end": {"type": float, "help": "a new end of simulated time"},
+            **_WALLTIME,
+        },
+    ),
+    "info": (
+        _info,
+        "say what a run directory holds",
+        {**_DIRECTORY, "--json": {"action": "store_true", "help": "for programs"}},
+    ),
+    "check": (
+        _check,
+        "run a scenario and compare its one checked number",
+        {
+            "scene": {
+                "metavar": "SCENARIO",
+                "nargs": "?",
+                "help": "all that come with the project by default",
+            },
+            "--full": {"action": "store_true", "help": "not the quick version"},
+        },
+    ),
+    "export": (
+        _export,
+        "convert frames for other programs",
+        {
+            **_DIRECTORY,
+            "--format": {
+                "default": "vtp",
+                "help": "vtp, vtu, xdmf or what else meshio writes (default %(default)s)",
+            },
+            "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY/FORMAT"},
+        },
+    ),
+    "render": (
+        _render,
+        "draw a picture (.png) or a film (.mp4, .gif)",
+        {
+            **_DIRECTORY,
+            "--output": {
+                "type": Path,
+                "metavar": "FILE",
+                "help": "default DIRECTORY/picture.png; the suffix says what",
+            },
+            **_FRAME,
+            "--color-by": {
+                "metavar": "FIELD",
+                "help": "a field at points or rods, such as velocity or tension",
+            },
+            "--camera": {
+                "type": _numbers,
+                "metavar": "X,Y,Z,...",
+                "help": "nine numbers: position, focal point, up",
+            },
+            "--size": {
+                "type": _numbers,
+                "default": [1280, 800],
+                "metavar": "W,H",
+                "help": "in pixels (default 1280,800)",
+            },
+        },
+    ),
+    "field": (
+        _field,
+        "velocity on a grid around the bodies, and streamlines",
+        {
+            **_DIRECTORY,
+            **_FRAME,
+            "--resolution": {
+                "type": int,
+                "default": 40,
+                "help": "grid points along the longest side (default %(default)s)",
+            },
+        },
+    ),
+}
+
+
+if __name__ == "__main__":
+    sys.exit(main())

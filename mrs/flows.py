@@ -1,0 +1,96 @@
+"""Background flows: what the fluid would do without the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from mrs import check
+
+Field = Callable[[np.ndarray, float], np.ndarray]
+
+
+class Flow(Protocol):
+    """A solution of the Stokes equations without the bodies."""
+
+    def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
+        """Return the velocity at points, (N, 3)."""
+
+    def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
+        """Return the curl of the velocity, (N, 3)."""
+
+
+class QuadraticFlow:
+    """A steady flow U_i = c_i + G_ij x_j + Q_ijk x_j x_k, which covers the next three as well.
+
+    Parameters
+    ----------
+    gradient : (3, 3) array_like, optional
+        G, per time; its trace must vanish.
+    quadratic : (3, 3, 3) array_like, optional
+        Q, per length and time; sum_i (Q_iik + Q_iki) must vanish for each k.
+    constant : (3,) array_like, optional
+
+    Raises
+    ------
+    ValueError
+        If the flow is not free of divergence.
+    """
+
+    def __init__(self, gradient: Any = 0.0, quadratic: Any = 0.0, constant: Any = 0.0) -> None:
+        self.constant = check.broadcast("constant", constant, (3,))
+        self.gradient = check.broadcast("gradient", gradient, (3, 3))
+        quadratic = check.broadcast("quadratic", quadratic, (3, 3, 3))
+        self.quadratic = 0.5 * (quadratic + quadratic.transpose(0, 2, 1))
+        scale = np.abs(self.gradient).max()
+        if abs(np.trace(self.gradient)) > 1e-12 * scale:
+            raise ValueError(f"gradient must have trace 0, got {np.trace(self.gradient):g}")
+        if np.abs(np.einsum("iik->k", self.quadratic)).max() > 1e-12 * np.abs(quadratic).max():
+            raise ValueError("quadratic must give a flow without divergence")
+
+    def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
+        """Return the velocity at points, (N, 3)."""
+        bent = np.einsum("ijk,nj,nk->ni", self.quadratic, points, points, optimize=True)
+        return self.constant + points @ self.gradient.T + bent
+
+    def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
+        """Return the curl of the velocity, (N, 3)."""
+        g = self.gradient + 2.0 * np.einsum("ijk,nk->nij", self.quadratic, points)
+        return np.stack(
+            [g[:, 2, 1] - g[:, 1, 2], g[:, 0, 2] - g[:, 2, 0], g[:, 1, 0] - g[:, 0, 1]], axis=1
+        )
+
+
+def shear(rate: float) -> QuadraticFlow:
+    """Return U = (rate z, 0, 0)."""
+    return QuadraticFlow(gradient=[[0.0, 0.0, rate], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+
+
+def extension(rate: float) -> QuadraticFlow:
+    """Return U = rate (x, -y/2, -z/2), uniaxial extension along x."""
+    return QuadraticFlow(gradient=np.diag([rate, -0.5 * rate, -0.5 * rate]))
+
+
+def poiseuille(speed: float, radius: float) -> QuadraticFlow:
+    """Return U = speed (1 - (y^2 + z^2) / radius^2) along x, as in a tube of that radius."""
+    quadratic = np.zeros((3, 3, 3))
+    quadratic[0, 1, 1] = quadratic[0, 2, 2] = -speed / check.positive("radius", radius) ** 2
+    return QuadraticFlow(quadratic=quadratic, constant=[speed, 0.0, 0.0])
+
+
+class UserFlow:
+    """A flow of one's own, from two functions of points, (N, 3), and time.
+
+    Parameters
+    ----------
+    velocity, vorticity : callable
+        Each returns (N, 3); `vorticity` is the curl of `velocity`. Vorticity turns the triads of
+        rods; without rods in the scene it may be left out.
+    """
+
+    def __init__(self, velocity: Field, vorticity: Field | None = None) -> None:
+        self.velocity = velocity
+        if vorticity is not None:
+            self.vorticity = vorticity

@@ -1,0 +1,167 @@
+"""Centrelines of rods with their triads: straight, helix, ring, and shapes at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mrs import check, rotations
+
+
+class Centerline(NamedTuple):
+    """Nodes of one rod and their triads, of which D3 points along the rod."""
+
+    nodes: np.ndarray
+    """Positions, (M, 3)."""
+    quaternions: np.ndarray
+    """Triads, (M, 4), stored (x, y, z, w)."""
+    closed: bool = False
+    """Whether a last segment joins the last node to the first."""
+
+    def moved(self, shift: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> Centerline:
+        """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
+        turn = Rotation.identity() if rotation is None else rotation
+        quaternions = rotations.multiply(turn.as_quat(), self.quaternions)
+        return Centerline(
+            turn.apply(self.nodes) + check.vector("shift", shift), quaternions, self.closed
+        )
+
+
+def straight(
+    length: float, nodes: int, *, origin: Any = (0, 0, 0), direction: Any = (0, 0, 1)
+) -> Centerline:
+    """Return a straight rod of `nodes` nodes from `origin` along `direction`."""
+    check.positive("length", length)
+    check.integer("nodes", nodes, 2)
+    line = np.linspace(0.0, length, nodes)[:, None] * np.array([0.0, 0.0, 1.0])
+    triads = np.tile(rotations.IDENTITY, (nodes, 1))
+    return Centerline(line, triads).moved(origin, _turn_from_z(direction))
+
+
+def helix(
+    radius: float,
+    pitch: float,
+    length: float,
+    nodes: int,
+    *,
+    handedness: Literal["right", "left"] = "right",
+    phase: float = 0.0,
+    origin: Any = (0, 0, 0),
+    direction: Any = (0, 0, 1),
+) -> Centerline:
+    """Return a helix, (R cos kz, R sin kz, z) with k = 2 pi / pitch for direction z (K 8.2).
+
+    Parameters
+    ----------
+    radius, pitch, length : float
+        Of the helix; `length` is along its axis.
+    nodes : int
+        Equally spaced, ends included.
+    handedness : {"right", "left"}, optional
+    phase : float, optional
+        Angle of the first node about the axis, radians.
+    origin : (3,) array_like, optional
+        Where the axis begins.
+    direction : (3,) array_like, optional
+        Of the axis.
+    """
+    check.positive("radius", radius)
+    check.positive("pitch", pitch)
+    check.positive("length", length)
+    check.integer("nodes", nodes, 2)
+    check.one_of("handedness", handedness, ("right", "left"))
+    z = np.linspace(0.0, length, nodes)
+    k = (2.0 if handedness == "right" else -2.0) * np.pi / pitch
+    angle = k * z + phase
+    points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
+    tangents = np.column_stack(
+        [-k * radius * np.sin(angle), k * radius * np.cos(angle), np.ones(nodes)]
+    )
+    # D1 is the inward normal: the strain of the helix is then (0, curvature, torsion).
+    inward = np.column_stack([-np.cos(angle), -np.sin(angle), np.zeros(nodes)])
+    return Centerline(points, from_directors(inward, tangents)).moved(
+        origin, _turn_from_z(direction)
+    )
+
+
+def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 0)) -> Centerline:
+    """Return a closed circle in the x-y plane, its triads turned `twist` radians in one round.
+
+    A `twist` that is not a multiple of 2 pi is concentrated in the last segment as it would be by
+    gluing the ends of a twisted rod: the shape closes, the triads do not.
+    """
+    check.positive("radius", radius)
+    check.integer("nodes", nodes, 3)
+    angle = 2.0 * np.pi * np.arange(nodes) / nodes
+    outward = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(nodes)])
+    tangents = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(nodes)])
+    about = np.zeros((nodes, 3))
+    about[:, 2] = twist * np.arange(nodes) / nodes
+    triads = rotations.multiply(from_directors(-outward, tangents), rotations.exponential(about))
+    return Centerline(radius * outward + check.vector("origin", origin), triads, closed=True)
+
+
+def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0)) -> Centerline:
+    """Return the shape that a rod of constant intrinsic strain takes: exact discrete equilibrium.
+
+    Each segment turns by ``2 asin(|strain| spacing / 2)`` about the strain, and its length is along
+    D3 halfway; no internal force or moment is left.
+
+    Parameters
+    ----------
+    strain : (3,) array_like
+        Curvatures about D1, D2 and twist about D3, radians per length.
+    spacing : float
+        Length of a segment.
+    nodes : int
+    origin : (3,) array_like, optional
+        Of the first node, whose triad is along the axes.
+    """
+    strain = check.vector("strain", strain)
+    check.positive("spacing", spacing)
+    check.integer("nodes", nodes, 2)
+    rate = np.linalg.norm(strain)
+    if 0.5 * rate * spacing >= 1.0:
+        raise ValueError(f"spacing: {spacing} is too long; at most {2 / rate:.3g} for this strain")
+    angle = 2.0 * np.arcsin(0.5 * rate * spacing)
+    about = strain / rate if rate > 0.0 else strain
+    triads = rotations.exponential(angle * np.arange(nodes)[:, None] * about)
+    middle = rotations.exponential(angle * (np.arange(nodes - 1)[:, None] + 0.5) * about)
+    steps = spacing * rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
+    points = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
+    return Centerline(points, triads).moved(origin)
+
+
+def array(centerline: Centerline, origins: Any) -> list[Centerline]:
+    """Return one copy of `centerline` at each of `origins`, (n, 3)."""
+    return [centerline.moved(origin) for origin in check.rows("origins", origins, 3)]
+
+
+def grid(shape: Iterable[int], spacing: float) -> np.ndarray:
+    """Return points of a rectangular grid with z = 0, centred at the origin, (n, 3)."""
+    columns, rows = shape
+    check.integer("shape[0]", columns, 1)
+    check.integer("shape[1]", rows, 1)
+    check.positive("spacing", spacing)
+    x = spacing * (np.arange(columns) - 0.5 * (columns - 1))
+    y = spacing * (np.arange(rows) - 0.5 * (rows - 1))
+    return np.array([(a, b, 0.0) for a in x for b in y])
+
+
+def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
+    """Return triads with D3 along `third` and D1 as near to `first` as that allows, (M, 4)."""
+    d3 = third / np.linalg.norm(third, axis=1)[:, None]
+    d1 = first - np.einsum("ni,ni->n", first, d3)[:, None] * d3
+    d1 = d1 / np.linalg.norm(d1, axis=1)[:, None]
+    return Rotation.from_matrix(np.stack([d1, rotations.cross(d3, d1), d3], axis=-1)).as_quat()
+
+
+def _turn_from_z(direction: Any) -> Rotation:
+    """Return the shortest rotation that takes z to `direction`."""
+    unit = check.direction("direction", direction)
+    if unit[2] < -1.0 + 1e-12:
+        return Rotation.from_rotvec([np.pi, 0.0, 0.0])
+    return Rotation.from_quat(rotations.between(np.array([0.0, 0.0, 1.0]), unit))

@@ -1,0 +1,91 @@
+"""A macro that opens the trajectories of a run in ParaView the way they should look."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_MACRO = '''"""Open this run. In ParaView: Tools > Python Shell > Run Script, or as a macro.
+
+From a terminal: paraview --script=open_in_paraview.py
+"""
+
+from pathlib import Path
+
+from paraview.simple import *
+
+RUN = Path({directory!r})
+
+
+def fields(data):
+    return set(data.keys())
+
+
+def color(source, view):
+    """Show what comes out of a filter, coloured by speed."""
+    display = Show(source, view)
+    display.Representation = "Surface"
+    if "velocity" in fields(source.PointData):
+        ColorBy(display, ("POINTS", "velocity", "Magnitude"))
+        display.RescaleTransferFunctionToDataRange(True)
+        display.SetScalarBarVisibility(view, True)
+    return display
+
+
+def show_rods(data, view):
+    tube = Tube(Input=data)
+    tube.NumberofSides = 16
+    if "radius" in fields(data.PointData):
+        tube.Scalars = ["POINTS", "radius"]
+        tube.VaryRadius = "By Absolute Scalar"
+    color(tube, view)
+
+
+def show_swimmers(data, view):
+    glyph = Glyph(Input=data, GlyphType="Arrow")
+    glyph.OrientationArray = ["POINTS", "orientation"]
+    glyph.ScaleArray = ["POINTS", "No scale array"]
+    glyph.GlyphMode = "All Points"
+    color(glyph, view)
+    Show(data, view).Representation = "Wireframe"
+
+
+def show_tracers(data, view):
+    display = color(data, view)
+    display.Representation = "Point Gaussian"
+
+
+view = GetActiveViewOrCreate("RenderView")
+for path in sorted(RUN.glob("*.vtkhdf")):
+    data = OpenDataFile(str(path))
+    data.UpdatePipeline()
+    if "orientation" in fields(data.PointData):
+        show_swimmers(data, view)
+    elif "arclength" in fields(data.PointData):
+        show_rods(data, view)
+    else:
+        show_tracers(data, view)
+GetAnimationScene().UpdateAnimationUsingDataTimeSteps()
+ResetCamera(view)
+Render(view)
+'''
+
+
+def write_macro(directory: str | os.PathLike[str]) -> Path:
+    """Write ``paraview/open_in_paraview.py`` in a run directory.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run. The macro holds its absolute path, since ParaView copies macros elsewhere.
+
+    Returns
+    -------
+    Path
+        Of the macro.
+    """
+    directory = Path(directory)
+    path = directory / "paraview" / "open_in_paraview.py"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
+    return path

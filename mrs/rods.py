@@ -1,0 +1,348 @@
+"""Kirchhoff rods in a viscous fluid: Olson, Lim & Cortez (2013), "OLC"; Lim et al. (2008)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from mrs import check, rotations
+from mrs.bodies import Body
+from mrs.geometry import Centerline
+
+Strain = Callable[[np.ndarray, np.ndarray], Any]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """How the first node of each rod is moved: by constants, or by functions of time.
+
+    A function takes the rods' own times, (rods,), and returns (3,) or (rods, 3).
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    velocity: Any = (0.0, 0.0, 0.0)
+    angular_velocity: Any = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class TravellingWave:
+    """A wave of preferred curvature, ``amplitude sin(2 pi (s / wavelength - t / period))``.
+
+    `amplitude` holds the components about D1, D2 and D3, radians per length. With a negative
+    period the wave runs towards s = 0.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    amplitude: Sequence[float]
+    wavelength: float
+    period: float
+
+    def __call__(self, s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        phase = 2.0 * np.pi * (s / self.wavelength - t / self.period)
+        return np.sin(phase)[:, None] * np.asarray(self.amplitude, float)
+
+
+class Elasticity(NamedTuple):
+    """Internal state of the segments, halfway between nodes."""
+
+    quaternions: np.ndarray
+    """Triads D^{k+1/2}, (segments, 4)."""
+    steps: np.ndarray
+    """X_{k+1} - X_k, (segments, 3)."""
+    strain: np.ndarray
+    """Curvatures about D1, D2 and twist, in the triad's axes, (segments, 3)."""
+    strain_excess: np.ndarray
+    """Strain less the intrinsic one, (segments, 3)."""
+    shift: np.ndarray
+    """D_i . X_s - delta_i3: shear along D1 and D2, stretch along D3, (segments, 3)."""
+
+
+class Rods(Body):
+    """Elastic rods, many at once; each may differ from the others.
+
+    Parameters
+    ----------
+    centerlines : Centerline or sequence of Centerline
+        Shapes at time zero (`mrs.geometry`). A segment's rest length is its present one, along D3.
+    bending : float or array_like
+        Moduli a1, a2 (force times length squared); broadcast to (rods, 2).
+    twisting : float or array_like
+        Modulus a3; broadcast to (rods,).
+    shearing : float or array_like
+        Moduli b1, b2 (force); broadcast to (rods, 2).
+    stretching : float or array_like
+        Modulus b3; broadcast to (rods,).
+    intrinsic_curvature : "initial", array_like or callable, optional
+        The strain (Omega_1, Omega_2, Omega_3) at which the rods are free of moments: two
+        curvatures and a twist, radians per length. "initial" is that of the centrelines; else an
+        array that broadcasts to (segments, 3), or a function of (s, t), both (segments,): arclength
+        of the segments' middles from the first node of their rod, and the rod's own time.
+    beat : callable, optional
+        A function of (s, t) as above that is added, for example a `TravellingWave`.
+    delay : float or array_like, optional
+        By how much each rod's own time is behind the time, broadcast to (rods,): phases of
+        metachronal waves.
+    base : {"free", "clamped"} or Drive, optional
+        What happens to the first node and its triad. A base that is held or driven hands its load
+        to whatever holds it, not to the fluid.
+    epsilon : float, optional
+        Blob size; the fluid's by default.
+    radius : float or array_like, optional
+        Of the rods in pictures, broadcast to (rods,); epsilon / sqrt(e) by default, which gives a
+        rod of that radius its drag.
+    name : str, optional
+        Of the output file.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The message names the argument and says what is allowed.
+
+    Notes
+    -----
+    With F_i = b_i (D_i . X_s - delta_i3) and N_i = a_i (Omega_i - O_i) halfway between nodes (OLC
+    eqs. 8-9 on a staggered grid), node k puts on the fluid the force
+    F_{k+1/2} - F_{k-1/2} and the torque N_{k+1/2} - N_{k-1/2} + (DX x F)_{k+1/2} / 2 + (DX x
+    F)_{k-1/2} / 2. Beyond open ends F and N vanish. With q the rotation from one triad to the next,
+    the discrete strain D2_s . D3, D3_s . D1, D1_s . D2 is exactly 2 Im(q) / ds.
+    """
+
+    kind = "rods"
+    has_torque = True
+    has_spin = True
+
+    def __init__(
+        self,
+        centerlines: Centerline | Sequence[Centerline],
+        *,
+        bending: Any,
+        twisting: Any,
+        shearing: Any,
+        stretching: Any,
+        intrinsic_curvature: Any = "initial",
+        beat: Strain | None = None,
+        delay: Any = 0.0,
+        base: str | Drive = "free",
+        epsilon: float | None = None,
+        radius: Any = None,
+        name: str = "rods",
+    ) -> None:
+        rods = [centerlines] if isinstance(centerlines, Centerline) else list(centerlines)
+        if not rods or not all(isinstance(rod, Centerline) for rod in rods):
+            raise TypeError(
+                f"centerlines must be one or more mrs.geometry.Centerline, got {centerlines!r}"
+            )
+        self.name = name
+        self.positions = check.points("centerlines", np.concatenate([rod.nodes for rod in rods]))
+        quaternions = np.concatenate([rod.quaternions for rod in rods])
+        self.quaternions = rotations.normalize(
+            check.rows("centerlines", quaternions, 4, len(self.positions))
+        )
+        self.base = (
+            base if isinstance(base, Drive) else check.one_of("base", base, ("free", "clamped"))
+        )
+        self._connect(rods)
+        count = len(rods)
+        self._moduli = self._by_segment(
+            check.broadcast("bending", bending, (count, 2), 0.0),
+            check.broadcast("twisting", twisting, (count,), 0.0),
+        )
+        self._stiffness = self._by_segment(
+            check.broadcast("shearing", shearing, (count, 2), 0.0),
+            check.broadcast("stretching", stretching, (count,), 0.0),
+        )
+        self._measure()
+        self._delay = check.broadcast("delay", delay, (count,))
+        self._set_intrinsic(intrinsic_curvature, beat)
+        self.epsilon = None if epsilon is None else check.positive("epsilon", epsilon)
+        self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
+
+    def _connect(self, rods: Sequence[Centerline]) -> None:
+        """Number nodes and segments."""
+        sizes = np.array([len(rod.nodes) for rod in rods])
+        self.first = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+        last = self.first + sizes - 1
+        self.closed = np.array([rod.closed for rod in rods])
+        if self.base != "free" and self.closed.any():
+            raise ValueError("base must be 'free' for closed rods, which have no end")
+        if (sizes < 2 + self.closed).any():
+            raise ValueError("centerlines must have at least 2 nodes, 3 if closed")
+        self.rod_of_node = np.repeat(np.arange(len(rods)), sizes)
+        ends = np.isin(np.arange(sizes.sum()), last)
+        self._left = np.flatnonzero(~ends | self.closed[self.rod_of_node])
+        self._right = self._left + 1
+        wraps = ends[self._left]
+        self._right[wraps] = self.first[self.closed]
+        self.rod_of_segment = self.rod_of_node[self._left]
+
+    def _by_segment(self, transverse: np.ndarray, axial: np.ndarray) -> np.ndarray:
+        return np.column_stack([transverse, axial])[self.rod_of_segment]
+
+    def _measure(self) -> None:
+        """Take rest lengths and arclengths from the shapes at time zero."""
+        between = rotations.relative(self.quaternions[self._left], self.quaternions[self._right])
+        middle = rotations.multiply(self.quaternions[self._left], rotations.halved(between))
+        steps = self.positions[self._right] - self.positions[self._left]
+        along = rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
+        self.spacing = np.einsum("ni,ni->n", along, steps)
+        if (self.spacing <= 0.0).any():
+            worst = int(np.argmin(self.spacing))
+            raise ValueError(
+                f"centerlines: rod {self.rod_of_segment[worst]} has a segment, after node "
+                f"{self._left[worst] - self.first[self.rod_of_segment[worst]]}, that does not run "
+                "along its D3; nodes must differ and triads follow the rod"
+            )
+        self._initial_strain = 2.0 * between[:, :3] / self.spacing[:, None]
+        ends = np.zeros(len(self.positions))
+        ends[self._left] = self.spacing
+        total = np.cumsum(ends) - ends
+        self.arclength = total - total[self.first][self.rod_of_node]
+        self.lengths = np.bincount(self.rod_of_segment, self.spacing)
+        self.length_scale = float(self.lengths.max())
+
+    def _set_intrinsic(self, intrinsic: Any, beat: Strain | None) -> None:
+        shape = (len(self.spacing), 3)
+        if isinstance(intrinsic, str):
+            check.one_of("intrinsic_curvature", intrinsic, ("initial",))
+            intrinsic = self._initial_strain
+        self._intrinsic = (
+            intrinsic
+            if callable(intrinsic)
+            else check.broadcast("intrinsic_curvature", intrinsic, shape)
+        )
+        if beat is not None and not callable(beat):
+            raise TypeError(f"beat must be a function of (s, t), got {beat!r}")
+        self._beat = beat
+        check.broadcast("intrinsic_curvature", self.intrinsic_curvature(0.0), shape)
+
+    def intrinsic_curvature(self, time: float) -> np.ndarray:
+        """Return the strain without moments, (segments, 3)."""
+        if self._beat is None and not callable(self._intrinsic):
+            return self._intrinsic
+        s = self.arclength[self._left] + 0.5 * self.spacing
+        t = (time - self._delay)[self.rod_of_segment]
+        fixed = self._intrinsic(s, t) if callable(self._intrinsic) else self._intrinsic
+        return np.asarray(fixed, float) + (0.0 if self._beat is None else self._beat(s, t))
+
+    def elasticity(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> Elasticity:
+        """Return strains halfway between the nodes."""
+        start = quaternions[self._left]
+        between = rotations.relative(start, quaternions[self._right])
+        middle = rotations.multiply(start, rotations.halved(between))
+        steps = positions[self._right] - positions[self._left]
+        spacing = self.spacing[:, None]
+        strain = 2.0 * between[:, :3] / spacing
+        shift = rotations.rotate(rotations.conjugate(middle), steps) / spacing
+        shift[:, 2] -= 1.0
+        return Elasticity(middle, steps, strain, strain - self.intrinsic_curvature(time), shift)
+
+    def loads(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the forces and torques of the nodes on the fluid, (nodes, 3) each."""
+        force, torque = self._node_loads(time, positions, quaternions)
+        if self.base != "free":
+            force[self.first] = 0.0
+            torque[self.first] = 0.0
+        return force, torque
+
+    def base_force(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+        """Return the forces of the rods on whatever holds their first nodes, (rods, 3)."""
+        if self.base == "free":
+            return np.zeros((len(self.first), 3))
+        return self._node_loads(time, positions, quaternions)[0][self.first]
+
+    def _node_loads(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        state = self.elasticity(time, positions, quaternions)
+        internal_force = rotations.rotate(state.quaternions, self._stiffness * state.shift)
+        moment = rotations.rotate(state.quaternions, self._moduli * state.strain_excess)
+        couple = 0.5 * rotations.cross(state.steps, internal_force)
+        force, torque = np.zeros_like(positions), np.zeros_like(positions)
+        # A node is left end of one segment at most, and right end of one.
+        force[self._left] += internal_force
+        force[self._right] -= internal_force
+        torque[self._left] += couple + moment
+        torque[self._right] += couple - moment
+        return force, torque
+
+    def energy(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> float:
+        """Return the elastic energy of all rods."""
+        bending, stretching = self._energies(self.elasticity(time, positions, quaternions))
+        return float(bending.sum() + stretching.sum())
+
+    def _energies(self, state: Elasticity) -> tuple[np.ndarray, np.ndarray]:
+        """Return the energies of strain and of shift of each segment."""
+        moments = np.einsum("ni,ni->n", self._moduli, state.strain_excess**2)
+        forces = np.einsum("ni,ni->n", self._stiffness, state.shift**2)
+        return 0.5 * self.spacing * moments, 0.5 * self.spacing * forces
+
+    def rates(
+        self,
+        time: float,
+        positions: np.ndarray,
+        quaternions: np.ndarray,
+        velocity: np.ndarray,
+        spin: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fluid's velocities, and at held bases the prescribed ones."""
+        assert spin is not None
+        if self.base == "clamped":
+            velocity[self.first] = 0.0
+            spin[self.first] = 0.0
+        elif isinstance(self.base, Drive):
+            velocity[self.first] = self._at_bases(self.base.velocity, time)
+            spin[self.first] = self._at_bases(self.base.angular_velocity, time)
+        return velocity, spin
+
+    def _at_bases(self, motion: Any, time: float) -> Any:
+        return motion(time - self._delay) if callable(motion) else motion
+
+    def epsilons(self, default: float) -> np.ndarray:
+        """Return the blob size at each node, (nodes,)."""
+        return np.full(len(self.positions), default if self.epsilon is None else self.epsilon)
+
+    def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rods, arclengths of the nodes, and the lengths of closed rods."""
+        rounds = np.where(self.closed, self.lengths, np.inf)
+        return self.rod_of_node, self.arclength, rounds[self.rod_of_node]
+
+    def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return one polyline a rod; a closed one ends at its first node."""
+        nodes = np.split(np.arange(len(self.positions)), self.first[1:])
+        lines = [np.append(n, n[0]) if c else n for n, c in zip(nodes, self.closed, strict=True)]
+        return np.empty(0, int), lines
+
+    def constant_fields(
+        self, epsilons: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return radius and arclength at nodes, the rod's number at cells."""
+        radius = epsilons / np.sqrt(np.e) if self.radius is None else self.radius[self.rod_of_node]
+        at_points = {"arclength": self.arclength, "radius": radius}
+        return at_points, {"rod_id": np.arange(len(self.first))}
+
+    def fields(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return triads, loads, motion, curvature and tension at nodes, energy at rods."""
+        state = self.elasticity(time, positions, quaternions)
+        triads = rotations.axes(quaternions)
+        fields = {f"d{i + 1}": triads[:, i] for i in range(3)} | at_points
+        fields["curvature"] = self._at_nodes(state.strain)
+        fields["tension"] = self._at_nodes(self._stiffness * state.shift)[:, 2]
+        bending, _ = self._energies(state)
+        return fields, {"bending_energy": np.bincount(self.rod_of_segment, bending)}
+
+    def _at_nodes(self, values: np.ndarray) -> np.ndarray:
+        """Return the mean over the segments that meet at each node."""
+        total, count = np.zeros((len(self.positions), 3)), np.zeros((len(self.positions), 1))
+        for side in (self._left, self._right):
+            total[side] += values
+            count[side] += 1.0
+        return total / count

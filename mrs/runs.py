@@ -1,0 +1,181 @@
+"""Runs in directories: begin, go on, look at."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mrs import rundir
+from mrs.output import checkpoint, field, log, vtkhdf
+from mrs.scenario import Scenario, ScenarioError, make
+from mrs.simulation import Simulation
+from mrs.trackers import Tracker
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Velocity = Callable[[np.ndarray], np.ndarray]
+
+
+def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
+    """Return scenario and options of a TOML file: one of one's own, or the config.toml of a run.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not TOML, or has keys besides `scenario`, `options`, and what a run adds.
+    """
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{path}: {error}") from None
+    unknown = set(content) - {"scenario", "options", "run", "versions"}
+    if unknown or "scenario" not in content:
+        what = f"unknown {', '.join(sorted(unknown))}" if unknown else "no scenario"
+        raise ScenarioError(
+            f"{path}: {what}; a run made from a scenario, and an input file, have "
+            '`scenario = "name"` and a table [options]'
+        )
+    return content["scenario"], content.get("options", {})
+
+
+def resume(
+    directory: str | Path,
+    t_end: float | None = None,
+    trackers: Iterable[Tracker] = (),
+    **options: Any,
+) -> Simulation:
+    """Go on with a run from its last checkpoint.
+
+    Parameters
+    ----------
+    directory : path
+    t_end : float, optional
+        A new end; that of the run by default.
+    trackers : sequence of Tracker, optional
+        Besides those that write the run.
+    **options
+        As for `Simulation.run`.
+
+    Returns
+    -------
+    Simulation
+        At its end.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no run in the directory.
+    ScenarioError
+        If the run was made by a script and not from a scenario: build the same simulation there,
+        and go on with ``restart(sim).run(t_end)``.
+    """
+    scenario = _scenario(directory)
+    sim = restart(scenario.simulation(directory))
+    sim.trackers.extend(trackers)
+    return sim.run(t_end or scenario.t_end, **options)
+
+
+def restart(sim: Simulation) -> Simulation:
+    """Return `sim` in the state of the last checkpoint in its run directory, ready for `run`."""
+    if sim.output is None:
+        raise ValueError("sim must have an output directory to go on from")
+    sim.restore(*checkpoint.load(Path(sim.output.directory) / "checkpoint.h5"))
+    return sim
+
+
+def info(directory: str | Path) -> dict[str, Any]:
+    """Return what is known of a run: its options, versions, time reached, frames, last log row."""
+    directory = Path(directory)
+    content = tomllib.loads((directory / rundir.CONFIG).read_text(encoding="utf-8"))
+    _, values = checkpoint.load(directory / "checkpoint.h5")
+    files = {}
+    for path in sorted(directory.glob("*.vtkhdf")):
+        with vtkhdf.Trajectory(path) as trajectory:
+            files[path.name] = {
+                "frames": len(trajectory),
+                "points": len(trajectory.points(0)) if len(trajectory) else 0,
+            }
+    return content | {
+        "time": values["time"],
+        "steps": values["integrator"]["steps"],
+        "finished": values["time"] >= content["run"]["t_end"],
+        "backends": values["backends"],
+        "files": files,
+        "log": log.last(directory / "log.csv"),
+    }
+
+
+def frame_velocity(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, Velocity]:
+    """Return the points of a stored frame, (N, 3), and the velocity of the fluid as a function.
+
+    Parameters
+    ----------
+    directory : path
+    frame : int, optional
+        Its number; the last by default.
+
+    Notes
+    -----
+    Points and forces are those of the frame, in single precision.
+    """
+    scenario = _scenario(directory)
+    sim = scenario.simulation()
+    _, values = checkpoint.load(Path(directory) / "checkpoint.h5")
+    sim.mobility.restore(values["backends"])
+    points, loads = [], []
+    for body in sim.bodies:
+        with vtkhdf.Trajectory(Path(directory) / f"{body.name}.vtkhdf") as trajectory:
+            number = range(len(trajectory))[frame]
+            time = trajectory.times[number]
+            points.append(trajectory.points(number))
+            arrays = trajectory.point_data(number)
+        none = np.zeros_like(points[-1])
+        loads.append(np.hstack([arrays.get("force", none), arrays.get("torque", none)]))
+    sources, strengths = np.concatenate(points).astype(float), np.concatenate(loads).astype(float)
+
+    def velocity(targets: np.ndarray) -> np.ndarray:
+        return sim.velocity(targets, time, sources, strengths)
+
+    return sources, velocity
+
+
+def write_field(directory: str | Path, frame: int = -1, resolution: int = 40) -> list[Path]:
+    """Write the velocity on a grid around the bodies, and streamlines, from a stored frame.
+
+    Parameters
+    ----------
+    directory : path
+    frame : int, optional
+        Its number; the last by default.
+    resolution : int, optional
+        Grid points along the longest side; a third as many streamlines start along each.
+
+    Returns
+    -------
+    list of Path
+        field.vti and streamlines.vtp in the run directory.
+    """
+    points, velocity = frame_velocity(directory, frame)
+    grid = field.grid_around(points, resolution=resolution)
+    values = velocity(grid.points)
+    paths = [Path(directory) / name for name in ("field.vti", "streamlines.vtp")]
+    field.write_field(paths[0], grid, values)
+    seeds = field.grid_around(points, resolution=max(2, resolution // 3), padding=0.0).points
+    field.streamlines(paths[1], grid, values, seeds)
+    return paths
+
+
+def _scenario(directory: str | Path) -> Scenario:
+    """Return the scenario of a run."""
+    config = Path(directory) / rundir.CONFIG
+    if not config.is_file():
+        raise FileNotFoundError(f"{directory} holds no run: there is no {rundir.CONFIG} in it")
+    name, options = read_input(config)
+    return make(name, options)

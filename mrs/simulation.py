@@ -1,0 +1,429 @@
+"""Fluid and bodies put together, and run."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mrs import check, rundir
+from mrs.bodies import Body
+from mrs.flows import Flow
+from mrs.mobility import Backend, Mobility
+from mrs.state import State
+from mrs.stepper import Integrator, NotFiniteError, Stepper
+from mrs.steric import Steric
+from mrs.trackers import Output, Tracker, standard_trackers
+
+_CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
+_PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
+
+
+@dataclass(frozen=True)
+class Fluid:
+    """The fluid.
+
+    Parameters
+    ----------
+    viscosity : float
+    epsilon : float, optional
+        Blob size of bodies that do not set their own.
+    background : Flow, optional
+        What it does without bodies (`mrs.flows`).
+    """
+
+    viscosity: float = 1.0
+    epsilon: float | None = None
+    background: Flow | None = None
+
+
+class Evaluation(NamedTuple):
+    """All that follows from one state."""
+
+    time: float
+    state: State
+    points: np.ndarray
+    """Where forces act and velocities are known, (N, 3)."""
+    loads: np.ndarray
+    """Forces, and torques if any body has them, (N, 3 or 6)."""
+    motion: np.ndarray
+    """Velocities, and angular velocities if any body wants them, (N, 3 or 6)."""
+    rates: np.ndarray
+    """Those of positions and triads, (P + Q, 3)."""
+
+
+class _Part(NamedTuple):
+    """Where one body lives in the flat arrays."""
+
+    body: Body
+    positions: slice
+    quaternions: slice
+    points: slice
+
+    def state(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        return state.positions[self.positions], state.quaternions[self.quaternions]
+
+
+class SimulationError(RuntimeError):
+    """A run that cannot go on; the message says where and why."""
+
+
+class Simulation:
+    """Bodies in a viscous fluid.
+
+    Parameters
+    ----------
+    fluid : Fluid
+    bodies : sequence of Body
+        `Rods`, `Swimmers`, `Tracers`, in any number; their names must differ.
+    backend : str or Backend, optional
+        How velocities are summed.
+    integrator : str or Integrator, optional
+        How time is stepped.
+    steric : Steric, optional
+        Repulsion between all points that carry forces.
+    output : Output, optional
+        Run directory; nothing is written without.
+    trackers : sequence of Tracker, optional
+        One's own, besides those of `output`.
+    recipe : dict, optional
+        What builds this simulation again, kept in config.toml for `mrs.resume`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The message names the argument and says what is allowed.
+    """
+
+    def __init__(
+        self,
+        fluid: Fluid,
+        bodies: Sequence[Body],
+        *,
+        backend: str | Backend = "auto",
+        integrator: str | Integrator = "rkc2",
+        steric: Steric | None = None,
+        output: Output | None = None,
+        trackers: Iterable[Tracker] = (),
+        recipe: dict[str, Any] | None = None,
+    ) -> None:
+        check.positive("viscosity", fluid.viscosity)
+        self.fluid = fluid
+        self.bodies = tuple(bodies)
+        self.backend = backend if isinstance(backend, Backend) else Backend(backend)
+        self.integrator = (
+            integrator if isinstance(integrator, Integrator) else Integrator(integrator)
+        )
+        self.steric = None if steric is None else steric.validated()
+        self.recipe = recipe
+        self.time = 0.0
+        self._assemble()
+        self.stepper = Stepper(self.integrator)
+        self.output = output
+        self.trackers = [*standard_trackers(output), *trackers]
+        self.resumed = False
+
+    def _assemble(self) -> None:
+        """Lay the bodies out in flat arrays."""
+        names = [body.name for body in self.bodies]
+        if not self.bodies or len(set(names)) < len(names):
+            raise ValueError(f"bodies must be at least one, with different names, got {names}")
+        self.state = State(
+            np.concatenate([body.positions for body in self.bodies]),
+            np.concatenate([body.quaternions for body in self.bodies]),
+        )
+        initial = [body.points(body.positions, body.quaternions) for body in self.bodies]
+        places = zip(
+            self.bodies,
+            _slices(len(body.positions) for body in self.bodies),
+            _slices(len(body.quaternions) for body in self.bodies),
+            _slices(len(points) for points in initial),
+            strict=True,
+        )
+        self._parts = [_Part(*place) for place in places]
+        self._count = sum(map(len, initial))
+        sizes = [len(points) for points in initial]
+
+        def at_points(values: Iterable[Any]) -> np.ndarray:
+            return np.repeat(list(values), sizes)
+
+        forced = at_points(body.has_force for body in self.bodies)
+        torqued = at_points(body.has_torque for body in self.bodies)
+        spinning = at_points(body.has_spin for body in self.bodies)
+        self._width = 6 if torqued.any() or spinning.any() else 3
+        background = self.fluid.background
+        if background is not None and spinning.any() and not hasattr(background, "vorticity"):
+            raise ValueError("background must have a vorticity, since it turns the triads of rods")
+        self._epsilons = epsilons = np.concatenate(
+            [self._blob_sizes(body, size) for body, size in zip(self.bodies, sizes, strict=True)]
+        )
+        self.mobility = Mobility(
+            self.fluid.viscosity, epsilons, forced, torqued, spinning, self.backend
+        )
+        self._scale(epsilons[forced])
+        if self.steric is not None:
+            self._label(forced)
+        self._evaluation: Evaluation | None = None
+
+    def _blob_sizes(self, body: Body, size: int) -> np.ndarray:
+        if not body.has_force:
+            return np.ones(size)
+        default = self.fluid.epsilon
+        if default is not None:
+            return body.epsilons(check.positive("epsilon", default))
+        epsilons = body.epsilons(np.nan)
+        if np.isnan(epsilons).any():
+            raise ValueError(f"epsilon must be set, by the fluid or by {body.name!r}")
+        return epsilons
+
+    def _scale(self, epsilons: np.ndarray) -> None:
+        """Set the units of errors, and of perturbations, of the local coordinates."""
+        turns = np.ones(len(self.state.quaternions))
+        lengths = [np.full(len(b.positions), b.length_scale or 1.0) for b in self.bodies]
+        largest = max((b.length_scale for b in self.bodies), default=1.0) or 1.0
+        smallest = np.full(len(self.state.positions), epsilons.min(initial=largest))
+        self.error_scale = np.concatenate([*lengths, turns])[:, None]
+        self.perturbation = _PERTURBATION * np.concatenate([smallest, turns])[:, None]
+
+    def _label(self, forced: np.ndarray) -> None:
+        """Number the connected pieces of all bodies, for the steric repulsion."""
+        labels, before = [], 0
+        for body in self.bodies:
+            if body.has_force:
+                piece, *along = body.contact_labels()
+                labels.append((piece + before, *along))
+                before += int(piece.max(initial=-1)) + 1
+        self._touching = np.flatnonzero(forced)
+        self._labels = [np.concatenate(column) for column in zip(*labels, strict=True)]
+
+    # --- physics -------------------------------------------------------------------------------
+
+    def evaluate(self, time: float, state: State) -> Evaluation:
+        """Return forces and motion in a state; the last answer is kept."""
+        last = self._evaluation
+        if last is None or last.time != time or not last.state.equals(state):
+            self._evaluation = self._evaluate(time, state)
+        assert self._evaluation is not None
+        return self._evaluation
+
+    def rates(self, time: float, state: State) -> np.ndarray:
+        """Return velocities and angular velocities of the coordinates, (P + Q, 3)."""
+        return self.evaluate(time, state).rates
+
+    def _evaluate(self, time: float, state: State) -> Evaluation:
+        points = np.concatenate([part.body.points(*part.state(state)) for part in self._parts])
+        loads = self._loads(time, state, points)
+        if not check.computable(points, loads):  # the stepper rejects the step, or stops
+            lost = np.full_like(loads, np.nan)
+            return Evaluation(time, state, points, loads, lost, self._rates(time, state, lost))
+        motion = self.mobility(points, loads)
+        background = self.fluid.background
+        if background is not None:
+            motion[:, :3] += background.velocity(points, time)
+            if self._width == 6:
+                motion[:, 3:] += 0.5 * background.vorticity(points, time)
+        return Evaluation(time, state, points, loads, motion, self._rates(time, state, motion))
+
+    def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
+        loads = np.zeros((self._count, self._width))
+        for part in self._parts:
+            if part.body.has_force:
+                force, torque = part.body.loads(time, *part.state(state))
+                loads[part.points, :3] = force
+                if torque is not None:
+                    loads[part.points, 3:] = torque
+        if self.steric is not None:
+            touching = points[self._touching]
+            loads[self._touching, :3] += self.steric.forces(touching, *self._labels)
+        return loads
+
+    def _rates(self, time: float, state: State, motion: np.ndarray) -> np.ndarray:
+        velocities, spins = [], []
+        for part in self._parts:
+            own = motion[part.points]
+            spin = own[:, 3:] if part.body.has_spin else None
+            velocity, turning = part.body.rates(time, *part.state(state), own[:, :3], spin)
+            velocities.append(velocity)
+            spins.append(turning)
+        return np.concatenate([*velocities, *spins])
+
+    def _part(self, body: Body) -> _Part:
+        return next(part for part in self._parts if part.body is body)
+
+    def energy(self) -> float:
+        """Return the elastic energy of all bodies."""
+        return sum(part.body.energy(self.time, *part.state(self.state)) for part in self._parts)
+
+    def body_state(self, body: Body) -> tuple[np.ndarray, np.ndarray]:
+        """Return the positions and quaternions of one body."""
+        return self._part(body).state(self.state)
+
+    def body_epsilons(self, body: Body) -> np.ndarray:
+        """Return the blob sizes at the points of one body."""
+        return self._epsilons[self._part(body).points]
+
+    def frame(self, body: Body) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return what a file shows of one body: its points, arrays at points and at cells."""
+        part = self._part(body)
+        now = self.evaluate(self.time, self.state)
+        at_points = {"velocity": now.motion[part.points, :3]}
+        if body.has_force:
+            at_points["force"] = now.loads[part.points, :3]
+        if body.has_torque:
+            at_points["torque"] = now.loads[part.points, 3:]
+        if body.has_spin:
+            at_points["angular_velocity"] = now.motion[part.points, 3:]
+        fields = body.fields(self.time, *part.state(self.state), **at_points)
+        return now.points[part.points], *fields
+
+    def velocity(
+        self,
+        points: Any,
+        time: float | None = None,
+        sources: np.ndarray | None = None,
+        loads: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Return the velocity of the fluid at points, (N, 3).
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        time, sources, loads : optional
+            Of another state, such as a stored frame: its time, points, and their forces and
+            torques; the present ones by default.
+        """
+        points = check.points("points", points)
+        if sources is None or loads is None or time is None:
+            now = self.evaluate(self.time, self.state)
+            time, sources, loads = now.time, now.points, now.loads
+        velocity = self.mobility.velocity(sources, loads[:, : self._width], points)
+        if self.fluid.background is not None:
+            velocity += self.fluid.background.velocity(points, time)
+        return velocity
+
+    # --- storage -------------------------------------------------------------------------------
+
+    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
+        arrays, history = self.stepper.history()
+        arrays = {f"integrator/{name}": array for name, array in arrays.items()}
+        values = {"time": self.time, "integrator": history, "backends": self.mobility.history()}
+        return arrays | self.state._asdict(), values
+
+    def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
+        """Take up a snapshot of the same scene.
+
+        Raises
+        ------
+        ValueError
+            If it is of another number of points.
+        """
+        state = State(arrays["positions"], arrays["quaternions"])
+        for name, mine, other in zip(State._fields, self.state, state, strict=True):
+            if mine.shape != other.shape:
+                raise ValueError(
+                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}"
+                )
+        self.time, self.state, self.resumed = values["time"], state, True
+        prefix = "integrator/"
+        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        self.stepper.restore(own, values["integrator"])
+        self.mobility.restore(values["backends"])
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def step(self, stop: float) -> None:
+        """Take one accepted step, not beyond time `stop`.
+
+        Raises
+        ------
+        SimulationError
+            If the state would not be finite; it is left as it was.
+        """
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):
+                self.time, self.state = self.stepper.step(self, self.time, self.state, stop)
+            if self.stepper.steps % _CORRECT_EVERY == 0:
+                self._correct()
+        except NotFiniteError as error:
+            raise SimulationError(self._where(error.row)) from None
+        except FloatingPointError as error:
+            raise SimulationError(f"at time {self.time:g}: {error}") from None
+
+    def _correct(self) -> None:
+        """Let the sums meet their tolerance again."""
+        now = self.evaluate(self.time, self.state)
+        if self.mobility.correct(now.points, now.loads):
+            self._evaluation = None
+
+    def _where(self, row: int) -> str:
+        """Say which coordinate is not finite."""
+        count = len(self.state.positions)
+        for part in self._parts:
+            first, last = part.positions.start, part.positions.stop
+            what = "position"
+            if row >= count:
+                first, last = (count + i for i in (part.quaternions.start, part.quaternions.stop))
+                what = "triad"
+            if first <= row < last:
+                return (
+                    f"the {what} of node {row - first} of {part.body.name!r} is not finite after "
+                    f"time {self.time:g} (step {self.stepper.steps}, dt {self.stepper.taken:g}, "
+                    f"dt x lambda_max {self.stepper.h_lambda:.3g}); use a smaller dt, dt='auto' or "
+                    "the integrator 'rkc2'"
+                )
+        raise AssertionError(row)
+
+    def run(self, t_end: float, *, max_walltime: float | None = None) -> Simulation:
+        """Go on to time `t_end`.
+
+        Parameters
+        ----------
+        t_end : float
+        max_walltime : float, optional
+            Seconds after which the run stops in good order, before `t_end`.
+
+        Returns
+        -------
+        Simulation
+            Itself.
+
+        Raises
+        ------
+        SimulationError
+            If the state would not be finite. The last good state is in the checkpoint.
+        KeyboardInterrupt
+            After ctrl-C, with a checkpoint written.
+        """
+        self.t_end = check.number("t_end", t_end, 0.0, 1e300)
+        start = clock.monotonic()
+        if self.output is not None and not self.resumed:
+            rundir.create(
+                self.output.directory, self.recipe, self.t_end, overwrite=self.output.overwrite
+            )
+        begun = []
+        try:
+            for tracker in self.trackers:
+                begun.append(tracker)
+                tracker.initialize(self)
+            while self.time < t_end:
+                stop = min([t_end, *(tracker.next_time(self.time) for tracker in self.trackers)])
+                self.step(stop)
+                for tracker in self.trackers:
+                    tracker.handle(self)
+                if max_walltime is not None and clock.monotonic() - start >= max_walltime:
+                    break
+        finally:
+            for tracker in begun:
+                tracker.finalize(self)
+            self.resumed = True  # a second call goes on
+        return self
+
+
+def _slices(sizes: Iterable[int]) -> list[slice]:
+    ends = np.cumsum([0, *sizes])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

@@ -1,0 +1,43 @@
+"""The state of a scene, and the coordinates in which one step is an ordinary differential equation.
+
+Triads live on the sphere of unit quaternions. During a step they are written D = exp(phi) D_n with
+rotation vectors phi, zero at its start: then (X, phi) is a plain vector for any method, and triads
+stay orthonormal whatever it does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from mrs import rotations
+
+
+class State(NamedTuple):
+    """Positions, (P, 3), and quaternions, (Q, 4), of all bodies one after the other."""
+
+    positions: np.ndarray
+    quaternions: np.ndarray
+
+    def coordinates(self) -> np.ndarray:
+        """Return (X, 0), the local coordinates of this state itself, (P + Q, 3)."""
+        return np.concatenate([self.positions, np.zeros((len(self.quaternions), 3))])
+
+    def moved(self, z: np.ndarray) -> State:
+        """Return the state with local coordinates z about this one."""
+        count = len(self.positions)
+        turned = rotations.multiply(rotations.exponential(z[count:]), self.quaternions)
+        return State(z[:count], rotations.normalize(turned))
+
+    def local_rates(self, z: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Return dz/dt for velocities and angular velocities `rates`, (P + Q, 3)."""
+        count = len(self.positions)
+        turning = rotations.local_rate(z[count:], rates[count:])
+        return np.concatenate([rates[:count], turning])
+
+    def equals(self, other: State) -> bool:
+        """Return whether both are bitwise equal."""
+        return np.array_equal(self.positions, other.positions) and np.array_equal(
+            self.quaternions, other.quaternions
+        )

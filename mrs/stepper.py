@@ -1,0 +1,211 @@
+"""Step sizes: fixed, from stability, or from the error; rejections; what is not finite."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, Protocol
+
+import numpy as np
+
+from mrs import check
+from mrs.integrators import METHODS
+from mrs.integrators.spectral import spectral_radius
+from mrs.state import State
+
+_SAFETY = 0.8  # of step sizes against the error and the stability limit
+_MARGIN = 1.1  # of the spectral radius, an estimate from below
+_RENEW = 50  # steps, after which the spectral radius is estimated again
+_SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """How time is stepped.
+
+    Parameters
+    ----------
+    name : {"rkc2", "euler", "heun", "rk4", "bs32"}
+    dt : float or "auto", optional
+        A fixed step; or "auto": from the error with methods that estimate theirs ("rkc2", "bs32"),
+        from the stability limit with the others.
+    tolerance : float, optional
+        Error of one step allowed with "auto": of positions relative to the length of their body, of
+        triads in radians.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    name: str = "rkc2"
+    dt: float | Literal["auto"] = "auto"
+    tolerance: float = 1e-4
+
+
+class Problem(Protocol):
+    """What is to be integrated."""
+
+    error_scale: np.ndarray
+    """Unit of errors, (P + Q, 1)."""
+    perturbation: np.ndarray
+    """A small displacement of each coordinate, (P + Q, 1)."""
+
+    def rates(self, time: float, state: State) -> np.ndarray:
+        """Return velocities and angular velocities, (P + Q, 3)."""
+
+
+class NotFiniteError(ArithmeticError):
+    """The state is not finite, or would not be after the smallest step."""
+
+    def __init__(self, row: int) -> None:
+        super().__init__(row)
+        self.row = row
+
+
+class Stepper:
+    """Advances a state, one accepted step at a time."""
+
+    def __init__(self, integrator: Integrator) -> None:
+        check.one_of("integrator", integrator.name, METHODS)
+        self.tolerance = check.number("tolerance", integrator.tolerance, 0.0, 1.0)
+        self.method = METHODS[integrator.name]
+        self.fixed = None if integrator.dt == "auto" else check.positive("dt", integrator.dt)
+        self.adaptive = self.fixed is None and self.method.error_order is not None
+        self.h: float | None = None
+        self.taken = 0.0
+        self.radius = 0.0
+        self.vector: np.ndarray | None = None
+        self.steps = 0
+        self.rejections = 0
+        self._renew_at = 0
+        self._warned = False
+
+    @property
+    def h_lambda(self) -> float:
+        """The last step times the spectral radius."""
+        return self.taken * self.radius
+
+    def history(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return what the next step depends on besides the state."""
+        arrays = {} if self.vector is None else {"vector": self.vector}
+        names = ("h", "taken", "radius", "steps", "rejections", "_renew_at")
+        return arrays, {name.lstrip("_"): getattr(self, name) for name in names}
+
+    def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
+        """Take up a history."""
+        self.vector = arrays.get("vector")
+        self.h, self.taken, self.radius = values["h"], values["taken"], values["radius"]
+        self.steps, self.rejections = values["steps"], values["rejections"]
+        self._renew_at = values["renew_at"]
+
+    def step(self, problem: Problem, time: float, state: State, stop: float) -> tuple[float, State]:
+        """Return time and state after one accepted step, not beyond `stop`.
+
+        Raises
+        ------
+        NotFiniteError
+            With the first row of the coordinates that is not finite.
+        """
+        rates = problem.rates(time, state)
+        _require_finite(rates)
+        z = state.coordinates()
+
+        lost: list[int] = []  # the row that ceased to be finite first takes all others with it
+
+        def f(t: float, z: np.ndarray) -> np.ndarray:
+            values = state.local_rates(z, problem.rates(t, state.moved(z)))
+            lost.extend(_not_finite(values)[: 1 - len(lost)])
+            return values
+
+        interval = stop - time
+        if self.steps >= self._renew_at:
+            self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
+        retried = False
+        while True:
+            h = self._size(interval, rates, problem.error_scale)
+            self.taken = h
+            lost.clear()
+            new, error = self.method.step(
+                f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
+            )
+            ratio = self._error_ratio(new, error, problem.error_scale)
+            if ratio <= 1.0:
+                break
+            self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
+            retried = True
+            self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
+        self.steps += 1
+        if self.adaptive:
+            # One shortened to end on time says nothing against the longer one that was wanted.
+            self.h = self._next(h, ratio, h if retried else max(5.0 * h, self.h or 0.0))
+        reached = stop if h == interval else time + h
+        return reached, state.moved(new)
+
+    def _size(self, interval: float, rates: np.ndarray, scale: np.ndarray) -> float:
+        """Return the step to try: whole steps fill the interval evenly, none is left tiny."""
+        limit = (
+            self.method.stability_interval() / (_MARGIN * self.radius) if self.radius else math.inf
+        )
+        if self.fixed is not None:
+            self.h = self.fixed
+            self._warn(limit)
+        elif not self.adaptive:
+            self.h = _SAFETY * limit
+        elif self.h is None:
+            speed = np.abs(rates / scale).max(initial=0.0)
+            self.h = min(interval, 0.1 * math.sqrt(self.tolerance) / speed if speed else math.inf)
+        wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
+        return interval / max(1, math.ceil(interval / wanted * (1.0 - 1e-12)))
+
+    def _warn(self, limit: float) -> None:
+        assert self.fixed is not None
+        limit *= _MARGIN
+        if self.fixed > limit and not self._warned and self.method.name != "rkc2":
+            self._warned = True
+            warnings.warn(
+                f"dt: {self.fixed:g} is beyond the stability limit {limit:.3g} of "
+                f"{self.method.name!r} here (largest eigenvalue {self.radius:.3g} per time); use a "
+                "smaller dt, dt='auto' or the integrator 'rkc2'",
+                stacklevel=2,
+            )
+
+    def _error_ratio(self, new: np.ndarray, error: np.ndarray | None, scale: np.ndarray) -> float:
+        """Return the largest error of the step in units of the tolerance; inf if not finite."""
+        if not np.isfinite(new).all():
+            return math.inf
+        if not self.adaptive or error is None:
+            return 0.0
+        ratio = float(np.abs(error / scale).max(initial=0.0)) / self.tolerance
+        return ratio if math.isfinite(ratio) else math.inf
+
+    def _reject(self, h: float, ratio: float, interval: float, lost: list[int]) -> None:
+        if not self.adaptive:
+            raise NotFiniteError(lost[0])
+        self.rejections += 1
+        self.h = self._next(h, ratio, h)
+        if self.h < _SMALLEST * interval:
+            raise NotFiniteError(lost[0] if lost else 0)
+
+    def _next(self, h: float, ratio: float, largest: float) -> float:
+        """Return the next step to try, of size `largest` at most (elementary controller)."""
+        assert self.method.error_order is not None
+        power = -1.0 / (self.method.error_order + 1)
+        best = h * _SAFETY * ratio**power if ratio > 0.0 else math.inf
+        return min(max(best, 0.1 * h), largest)
+
+    def _estimate_radius(
+        self, f: Callable, z: np.ndarray, rates: np.ndarray, scale: np.ndarray
+    ) -> None:
+        self.radius, self.vector = spectral_radius(f, z, rates, scale, self.vector)
+        self._renew_at = self.steps + _RENEW
+
+
+def _not_finite(values: np.ndarray) -> list[int]:
+    return np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist()
+
+
+def _require_finite(values: np.ndarray) -> None:
+    lost = _not_finite(values)
+    if lost:
+        raise NotFiniteError(lost[0])

@@ -1,0 +1,59 @@
+"""Points that follow the flow."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mrs import check
+from mrs.bodies import Body
+
+
+class Tracers(Body):
+    """Passive points: targets of the sums, never sources.
+
+    Parameters
+    ----------
+    positions : (n, 3) array_like
+    name : str, optional
+        Of the output file.
+    """
+
+    kind = "tracers"
+    has_force = False
+
+    def __init__(self, positions: Any, *, name: str = "tracers") -> None:
+        self.name = name
+        self.positions = check.points("positions", positions)
+        self.quaternions = np.empty((0, 4))
+        self.length_scale = (
+            float(np.ptp(self.positions, axis=0).max()) if len(self.positions) else 0.0
+        )
+
+    def rates(
+        self,
+        time: float,
+        positions: np.ndarray,
+        quaternions: np.ndarray,
+        velocity: np.ndarray,
+        spin: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the fluid's velocity."""
+        return velocity, np.empty((0, 3))
+
+    def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
+        """Return one vertex a tracer."""
+        return np.arange(len(self.positions)), []
+
+    def constant_fields(
+        self, epsilons: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return each tracer's number."""
+        return {"tracer_id": np.arange(len(self.positions))}, {}
+
+    def fields(
+        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return velocity."""
+        return {"velocity": at_points["velocity"]}, {}

@@ -1,0 +1,256 @@
+"""What watches a run: each tracker says at which times it wants to be called."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from mrs import check, rundir
+from mrs.output import checkpoint, live, log, paraview, vtkhdf
+
+if TYPE_CHECKING:
+    from mrs.simulation import Simulation
+
+
+class Output(NamedTuple):
+    """Where and how often a run is written.
+
+    Parameters
+    ----------
+    directory : path
+    interval : float
+        Simulated time between frames, and between rows of the log.
+    checkpoint_seconds : float, optional
+        Seconds of real time between checkpoints; one is written at the end in any case.
+    overwrite : bool, optional
+        Delete an earlier run in the same directory.
+    live : bool, optional
+        Write a .vtp file a frame and a .pvd as well, for ParaView before 5.12.
+    """
+
+    directory: str | Path
+    interval: float
+    checkpoint_seconds: float = 30.0
+    overwrite: bool = False
+    live: bool = False
+
+
+class Tracker:
+    """Called at multiples of `interval` in simulated time; after every step if that is None."""
+
+    interval: float | None = None
+
+    def initialize(self, sim: Simulation) -> None:
+        """Begin; `sim.resumed` says whether an earlier run goes on."""
+
+    def next_time(self, time: float) -> float:
+        """Return the next time that a step must not pass."""
+        if self.interval is None:
+            return math.inf
+        count = math.floor(time / self.interval)
+        while count * self.interval <= time:
+            count += 1
+        return count * self.interval
+
+    def due(self, time: float) -> bool:
+        """Return whether `time` is one that `next_time` has returned, or zero."""
+        return self.interval is None or round(time / self.interval) * self.interval == time
+
+    def handle(self, sim: Simulation) -> None:
+        """Called after every step."""
+
+    def finalize(self, sim: Simulation) -> None:
+        """Called at the end, also after an error or ctrl-C."""
+
+
+class _Frames(Tracker):
+    """Writes at multiples of the interval, the start included, each once also over resumes."""
+
+    def __init__(self, output: Output) -> None:
+        self.directory = Path(output.directory)
+        self.interval = check.positive("interval", output.interval)
+
+    def initialize(self, sim: Simulation) -> None:
+        if sim.resumed:
+            last = self.cut(sim)
+            if last == sim.time or not self.due(sim.time):
+                return
+        else:
+            self.create(sim)
+        self.write(sim)
+
+    def handle(self, sim: Simulation) -> None:
+        if self.due(sim.time):
+            self.write(sim)
+
+    def create(self, sim: Simulation) -> None:
+        """Make new files."""
+        raise NotImplementedError
+
+    def cut(self, sim: Simulation) -> float | None:
+        """Drop what is later than the state, and return the time of the last frame left."""
+        raise NotImplementedError
+
+    def write(self, sim: Simulation) -> None:
+        """Append a frame."""
+        raise NotImplementedError
+
+
+class Trajectories(_Frames):
+    """One transient VTKHDF file a body."""
+
+    def create(self, sim: Simulation) -> None:
+        for body in sim.bodies:
+            at_points, at_cells = body.constant_fields(sim.body_epsilons(body))
+            meta = {"kind": body.kind, **rundir.versions(), **_META}
+            vtkhdf.create(
+                self._path(body), vtkhdf.Topology(*body.topology()), at_points, at_cells, meta
+            )
+        paraview.write_macro(self.directory)
+
+    def cut(self, sim: Simulation) -> float | None:
+        return min((vtkhdf.cut(self._path(body), sim.time) for body in sim.bodies), key=_or_before)
+
+    def write(self, sim: Simulation) -> None:
+        for body in sim.bodies:
+            vtkhdf.append(self._path(body), sim.time, *sim.frame(body))
+
+    def finalize(self, sim: Simulation) -> None:
+        for body in sim.bodies:
+            if self._path(body).exists():
+                vtkhdf.trim(self._path(body))
+
+    def _path(self, body: Any) -> Path:
+        return self.directory / f"{body.name}.vtkhdf"
+
+
+class Live(_Frames):
+    """One .vtp a body and frame, and a .pvd for each body."""
+
+    def create(self, sim: Simulation) -> None:
+        """Nothing: the first frame makes the folder."""
+
+    def cut(self, sim: Simulation) -> float | None:
+        return min((live.cut(self._path(body), sim.time) for body in sim.bodies), key=_or_before)
+
+    def write(self, sim: Simulation) -> None:
+        for body in sim.bodies:
+            points, at_points, at_cells = sim.frame(body)
+            live.append(
+                self._path(body),
+                sim.time,
+                vtkhdf.Topology(*body.topology()),
+                points,
+                at_points,
+                at_cells,
+            )
+
+    def _path(self, body: Any) -> Path:
+        return self.directory / f"{body.name}.pvd"
+
+
+class Log(_Frames):
+    """log.csv: how the run is doing."""
+
+    _SAMPLE_EVERY = 10  # rows; a sampled error costs about as much as a direct sum at 1000 targets
+
+    def __init__(self, output: Output) -> None:
+        super().__init__(output)
+        self.path = self.directory / "log.csv"
+
+    def initialize(self, sim: Simulation) -> None:
+        self._start = clock.monotonic()
+        self._rows = 0
+        super().initialize(sim)
+
+    def create(self, sim: Simulation) -> None:
+        """Nothing: the first row makes the file."""
+
+    def cut(self, sim: Simulation) -> float | None:
+        return log.cut(self.path, sim.time)
+
+    def write(self, sim: Simulation) -> None:
+        now = sim.evaluate(sim.time, sim.state)
+        sampled = self._rows % self._SAMPLE_EVERY == 0
+        self._rows += 1
+        row = {
+            "step": sim.stepper.steps,
+            "t": sim.time,
+            "dt": sim.stepper.taken,
+            "wall": round(clock.monotonic() - self._start, 3),
+            "rejections": sim.stepper.rejections,
+            "evaluations": sim.mobility.evaluations,
+            "max_speed": float(np.linalg.norm(now.motion[:, :3], axis=1).max(initial=0.0)),
+            "elastic_energy": sim.energy(),
+            "sampled_error": sim.mobility.sampled_error(now.points, now.loads) if sampled else "",
+            "dt_lambda_max": sim.stepper.h_lambda,
+            "backends": " ".join(map(str, sim.mobility.choices)),
+        }
+        log.append(self.path, row)
+
+
+class Checkpoints(Tracker):
+    """checkpoint.h5, every so many seconds of real time and at the end."""
+
+    def __init__(self, output: Output) -> None:
+        self.path = Path(output.directory) / "checkpoint.h5"
+        self.seconds = check.number("checkpoint_seconds", output.checkpoint_seconds, -1e-300, 1e9)
+
+    def initialize(self, sim: Simulation) -> None:
+        self._last = clock.monotonic()
+        self._saved: float | None = None
+        if not sim.resumed:
+            self._save(sim)
+
+    def handle(self, sim: Simulation) -> None:
+        if clock.monotonic() - self._last >= self.seconds:
+            self._save(sim)
+
+    def finalize(self, sim: Simulation) -> None:
+        if self._saved != sim.time:
+            self._save(sim)
+
+    def _save(self, sim: Simulation) -> None:
+        checkpoint.save(self.path, *sim.snapshot())
+        self._saved = sim.time
+        self._last = clock.monotonic()
+
+
+class Progress(Tracker):
+    """A bar of simulated time, which starts after the first evaluation: compilation is left out."""
+
+    def initialize(self, sim: Simulation) -> None:
+        sim.evaluate(sim.time, sim.state)
+        self._bar = tqdm(total=sim.t_end, initial=sim.time, unit="t", disable=None, bar_format=_BAR)
+
+    def handle(self, sim: Simulation) -> None:
+        self._bar.update(sim.time - self._bar.n)
+
+    def finalize(self, sim: Simulation) -> None:
+        if hasattr(self, "_bar"):
+            self._bar.close()
+
+
+_BAR = "{l_bar}{bar}| t={n:.4g}/{total:.4g} [{elapsed}<{remaining}, {rate_fmt}]"
+_META = {
+    "force": "per node, on the fluid",
+    "torque": "per node, on the fluid",
+    "units": "those of the input",
+}
+
+
+def standard_trackers(output: Output | None) -> list[Tracker]:
+    """Return those that write a run directory; a checkpoint comes after what it vouches for."""
+    if output is None:
+        return []
+    frames: list[Tracker] = [Trajectories(output), Log(output)]
+    return [*frames, *([Live(output)] if output.live else []), Checkpoints(output)]
+
+
+def _or_before(time: float | None) -> float:
+    return -math.inf if time is None else time

@@ -1,0 +1,70 @@
+"""A straight rod with intrinsic curvature and twist coils into its helix.
+
+The picture: the open rod of Olson, Lim & Cortez (2013), straight but for a tilt of 1e-4 of its
+triads, writhes for a moment and settles in a helix of radius k / (k^2 + t^2) and pitch 2 pi t /
+(k^2 + t^2).
+
+    mrs run rod_relaxation
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial.transform import Rotation
+
+import mrs
+
+
+class RodRelaxation(mrs.Scenario):
+    """Options of the rod; grams, micrometres, seconds. The defaults are the published ones."""
+
+    quick: ClassVar[dict[str, Any]] = {"nodes": 26, "t_end": 0.2, "interval": 0.01}
+
+    nodes: int = Field(76, ge=5, description="of the rod")
+    length: float = Field(75 * float(np.pi) / 40, gt=0, description="of the rod")
+    curvature: float = Field(1.3, ge=0, description="intrinsic, k")
+    twist: float = Field(float(np.pi) / 2, description="intrinsic, t")
+    bending: float = Field(3.5e-3, gt=0, description="moduli a1 = a2 = a3")
+    shearing: float = Field(0.8, gt=0, description="moduli b1 = b2 = b3")
+    viscosity: float = Field(1e-6, gt=0, description="of the fluid")
+    t_end: float = Field(1.0, gt=0, description="simulated time")
+    interval: float = Field(0.01, gt=0, description="simulated time between frames")
+
+    def build(self, **common: Any) -> mrs.Simulation:
+        """Return the rod."""
+        straight = mrs.geometry.straight(self.length, self.nodes)
+        tilt = Rotation.from_rotvec([1e-4, 0.0, 0.0]).as_quat()
+        tilted = straight._replace(quaternions=mrs.rotations.multiply(tilt, straight.quaternions))
+        rod = mrs.Rods(
+            tilted,
+            bending=self.bending,
+            twisting=self.bending,
+            shearing=self.shearing,
+            stretching=self.shearing,
+            intrinsic_curvature=(self.curvature, 0.0, self.twist),
+            name="rod",
+        )
+        epsilon = 6.0 * self.length / (self.nodes - 1)
+        fluid = mrs.Fluid(viscosity=self.viscosity, epsilon=epsilon)
+        return mrs.Simulation(fluid, [rod], **common)
+
+    def check(self, sim: mrs.Simulation) -> mrs.Check:
+        """Return the radius of the circle through the helix seen along its axis."""
+        positions = sim.state.positions
+        square = self.curvature**2 + self.twist**2
+        return mrs.Check(
+            "radius",
+            helix_radius(positions, self.length / (self.nodes - 1), np.sqrt(square)),
+            self.curvature / square,
+            0.02,
+        )
+
+
+def helix_radius(points: np.ndarray, spacing: float, rate: float) -> float:
+    """Return the radius of a helix that turns at `rate` per length, from second differences."""
+    second = np.diff(points, 2, axis=0)[2:-2]
+    turn = 2.0 * np.arcsin(0.5 * rate * spacing)  # of one segment about the axis
+    return float(np.linalg.norm(second, axis=1).mean() / (2.0 - 2.0 * np.cos(turn)))

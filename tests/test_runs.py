@@ -1,0 +1,198 @@
+"""Runs in directories: killed and resumed, stopped, refused; what the command line says."""
+
+import json
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import mrs
+from mrs import cli
+from mrs.mobility import Mobility
+from mrs.output import checkpoint, vtkhdf
+
+SCENE = Path(__file__).parents[1] / "docs" / "scene.toml"
+
+
+def swim(directory, t_end):
+    """Return the arguments of a small run."""
+    options = ["--quick", "--set", f"t_end={t_end}", "--output", str(directory)]
+    return ["run", "helical_swimmer", *options]
+
+
+def state_of(directory):
+    """Return the last checkpoint of a run."""
+    return checkpoint.load(directory / "checkpoint.h5")
+
+
+def trajectories(directory):
+    """Return times, points and arrays of all frames of all files of a run."""
+    found = {}
+    for path in sorted(directory.glob("*.vtkhdf")):
+        with vtkhdf.Trajectory(path) as file:
+            numbers = range(len(file))
+            arrays = [(file.points(i), file.point_data(i), file.cell_data(i)) for i in numbers]
+            found[path.name] = (file.times, arrays)
+    return found
+
+
+def assert_equal_runs(one, other):
+    """Compare checkpoints and trajectories bit by bit."""
+    (arrays, values), (arrays2, values2) = map(state_of, (one, other))
+    assert values["time"] == values2["time"]
+    assert values["integrator"] == values2["integrator"]
+    assert arrays.keys() == arrays2.keys()
+    for name, array in arrays.items():
+        np.testing.assert_array_equal(array, arrays2[name], err_msg=name)
+    np.testing.assert_equal(trajectories(one), trajectories(other))
+
+
+def begin(*arguments):
+    """Start the command line in a process of its own."""
+    command = [sys.executable, "-m", "mrs.cli", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def test_killed_and_resumed_run_is_bitwise_the_same(tmp_path):
+    """20 kills -9 at random moments, with a checkpoint after every step."""
+    whole, killed = tmp_path / "whole", tmp_path / "killed"
+    options = ["--set", "checkpoint_seconds=0", "--set", "t_end=1.0"]
+    assert cli.main(["run", str(SCENE), "--output", str(whole), *options]) == 0
+    moments = random.Random(0)
+    process = begin("run", SCENE, "--output", killed, *options)
+    steps = []
+    for _ in range(20):
+        try:
+            process.wait(moments.uniform(1.0, 3.0))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if (killed / "checkpoint.h5").exists():
+            steps.append(state_of(killed)[1]["integrator"]["steps"])
+            process = begin("resume", killed)
+        else:  # killed before the first checkpoint: nothing to go on from
+            process = begin("run", SCENE, "--output", killed, "--overwrite", *options)
+    process.kill()
+    process.wait()
+    assert len(set(steps)) > 3, "the kills did not hit a run on its way"
+    assert cli.main(["resume", str(killed)]) == 0
+    assert_equal_runs(whole, killed)
+
+
+def test_walltime_stops_in_good_order_and_resume_ends_the_same(tmp_path):
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    assert cli.main(swim(whole, 0.4)) == 0
+    assert cli.main([*swim(halves, 0.4), "--max-walltime", "0"]) == 0
+    assert 0.0 < mrs.runs.info(halves)["time"] < 0.4
+    assert cli.main(["resume", str(halves)]) == 0
+    assert_equal_runs(whole, halves)
+
+
+def test_interrupt_leaves_a_checkpoint(tmp_path):
+    """Ctrl-C while the third step is computed: the state after the second is kept."""
+
+    class Interrupt(mrs.Tracker):
+        def handle(self, sim):
+            if sim.stepper.steps == 2:
+                sim.mobility.__class__ = type("Interrupted", (Mobility,), {"__call__": interrupted})
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    scene = mrs.scenario.make("helical_swimmer", {}, quick=True)
+    sim = scene.simulation(tmp_path / "run")
+    sim.trackers.append(Interrupt())
+    with pytest.raises(KeyboardInterrupt):
+        sim.run(scene.t_end)
+    arrays, values = state_of(tmp_path / "run")
+    assert values["integrator"]["steps"] == 2
+    np.testing.assert_array_equal(arrays["positions"], sim.state.positions)
+
+
+def test_frames_are_at_multiples_of_the_interval(tmp_path):
+    assert cli.main(swim(tmp_path / "r", 0.52)) == 0
+    with vtkhdf.Trajectory(tmp_path / "r" / "flagellum.vtkhdf") as file:
+        np.testing.assert_array_equal(file.times, 0.05 * np.arange(11))
+
+
+def test_a_run_is_not_overwritten(tmp_path, capsys):
+    arguments = swim(tmp_path / "r", 0.05)
+    assert cli.main(arguments) == 0
+    assert cli.main(arguments) == 1
+    assert "holds a run" in capsys.readouterr().err
+    assert cli.main([*arguments, "--overwrite"]) == 0
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("not a run")
+    assert cli.main([*arguments[:-1], str(tmp_path / "mine"), "--overwrite"]) == 1
+    assert (tmp_path / "mine" / "thesis.tex").read_text() == "not a run"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run", "cilia_aray"], "did you mean 'cilia_array'"),
+        (["run", "cilia_array", "--set", "row=3"], "did you mean 'rows'"),
+        (["run", "cilia_array", "--set", "rows=0"], "rows: input should be greater than or equal"),
+        (["run", "cilia_array", "--set", "rows"], "KEY=VALUE"),
+        (["run", "cilia_array", "--set", "backend.degre=3"], "did you mean 'backend.degree'"),
+        (["run", "cilia_array", "--set", "backend.name=fast"], "'kitc'"),
+        (["run", "cilia_array", "--set", "integrator.dt=never"], "integrator.dt"),
+        (["run", "no_such_file.toml"], "no_such_file.toml"),
+        (["resume", "no_such_run"], "holds no run"),
+        (["info", "no_such_run"], "no_such_run"),
+        (["render", "no_such_run"], "no_such_run"),
+    ],
+)  # fmt: skip
+def test_mistakes_are_named(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(arguments) == 1
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir()), "something was written"
+
+
+@pytest.mark.parametrize("name", [n for n in mrs.scenario.known() if n != "scene"])
+def test_scenarios_give_their_checked_number(name):
+    scene = mrs.scenario.make(name, {}, quick=True)
+    result = scene.check(scene.simulation().run(scene.t_end))
+    assert result.passed, str(result)
+
+
+def test_config_gives_the_same_scene_again(tmp_path):
+    a, b = tmp_path / "a", tmp_path / "b"
+    assert cli.main(["run", str(SCENE), "--output", str(a), "--set", "t_end=0.05"]) == 0
+    assert cli.main(["run", str(a / "config.toml"), "--output", str(b)]) == 0
+    assert_equal_runs(a, b)
+
+
+def test_info_for_programs(tmp_path, capsys):
+    assert cli.main(swim(tmp_path / "r", 0.1)) == 0
+    capsys.readouterr()
+    assert cli.main(["info", str(tmp_path / "r"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["finished"]
+    assert found["time"] == 0.1
+    assert found["files"]["flagellum.vtkhdf"] == {"frames": 3, "points": 41}
+    assert found["options"]["nodes"] == 41
+
+
+def test_a_scenario_of_ones_own(tmp_path):
+    """A copy of a scenario in a file is run, and resumed, by its path."""
+    source = Path(mrs.scenario.find("helical_swimmer").__module__.replace(".", os.sep) + ".py")
+    mine = tmp_path / "mine.py"
+    mine.write_text((SCENE.parents[1] / source).read_text())
+    run = tmp_path / "run"
+    assert cli.main(["run", str(mine), "--quick", "--set", "t_end=0.05", "--output", str(run)]) == 0
+    assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 0
+    assert mrs.runs.info(run)["time"] == 0.1
+
+
+def test_nothing_needs_pictures_to_compute():
+    """pyvista, vtk, meshio and imageio are imported by what uses them only."""
+    heavy = {"pyvista", "vtk", "vtkmodules", "meshio", "imageio", "matplotlib"}
+    code = f"import sys, mrs, mrs.cli; print(sorted({heavy} & set(sys.modules)))"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "[]"
