@@ -47,10 +47,9 @@ def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
     return value
 
 
-def integer(name: str, value: Any, low: int, high: int = 2**62) -> int:
+def integer(name: str, value: Any, low: int, high: int = 10**12) -> int:
     """Return `value` as an int from `low` to `high`."""
-    limits = f"of at least {low}" if high == 2**62 else f"from {low} to {high}"
-    allowed = f"{name} must be an integer {limits}, got {value!r}"
+    allowed = f"{name} must be an integer from {low} to {high}, got {value!r}"
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)):
         raise TypeError(allowed)
     if not low <= value <= high:
