@@ -136,7 +136,7 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    names = [options.scene] if options.scene else [n for n in scenario.known() if n != "scene"]
+    names = [options.scene] if options.scene else scenario.known()
     passed = True
     for name in names:
         scene = scenario.make(name, {}, quick=not options.full)

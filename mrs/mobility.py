@@ -122,8 +122,8 @@ class Mobility:
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
 
-        Both are (N, 3) where there are neither torques nor angular velocities; the latter are zero
-        at points that do not want them.
+        Both are (N, 3) where there are neither torques nor angular velocities. The latter mean
+        nothing at points that do not want them.
         """
         values = np.zeros_like(loads)
         start = time.perf_counter()

@@ -87,9 +87,9 @@ class Scenario(BaseModel):
 
 
 def known() -> list[str]:
-    """Return the names of the scenarios that come with the project, and "scene"."""
+    """Return the names of the scenarios that come with the project."""
     package = importlib.import_module(PACKAGE)
-    return ["scene", *(module.name for module in pkgutil.iter_modules(package.__path__))]
+    return [module.name for module in pkgutil.iter_modules(package.__path__)]
 
 
 def find(name: str) -> type[Scenario]:
@@ -102,14 +102,14 @@ def find(name: str) -> type[Scenario]:
     """
     if name.endswith(".py"):
         return _only(_import_file(Path(name)), name)
+    if name == "scene":
+        return _only(importlib.import_module("mrs.scene"), name)
     if name not in known():
         raise ScenarioError(
             f"scenario: {name!r} is not known{_nearest(name, known())}; "
             f"there are {', '.join(known())}"
         )
-    return _only(
-        importlib.import_module("mrs.scene" if name == "scene" else f"{PACKAGE}.{name}"), name
-    )
+    return _only(importlib.import_module(f"{PACKAGE}.{name}"), name)
 
 
 def name_of(scenario: type[Scenario]) -> str:

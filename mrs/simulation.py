@@ -15,7 +15,7 @@ from mrs.bodies import Body
 from mrs.flows import Flow
 from mrs.mobility import Backend, Mobility
 from mrs.state import State
-from mrs.stepper import Integrator, NotFiniteError, Stepper
+from mrs.stepper import Integrator, NotFiniteError, StepSizeError, Stepper
 from mrs.steric import Steric
 from mrs.trackers import Output, Tracker, standard_trackers
 
@@ -351,6 +351,11 @@ class Simulation:
                 self._correct()
         except NotFiniteError as error:
             raise SimulationError(self._where(error.row)) from None
+        except StepSizeError:
+            raise SimulationError(
+                f"at time {self.time:g} no step is small enough for tolerance "
+                f"{self.integrator.tolerance:g}; allow a larger one"
+            ) from None
         except FloatingPointError as error:
             raise SimulationError(f"at time {self.time:g}: {error}") from None
 

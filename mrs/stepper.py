@@ -17,6 +17,8 @@ from mrs.state import State
 
 _SAFETY = 0.8  # of step sizes against the error and the stability limit
 _MARGIN = 1.1  # of the spectral radius, an estimate from below
+_LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: lengths of bodies, radians
+_WARNING = 1.05  # as `_MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 
@@ -30,7 +32,8 @@ class Integrator:
     name : {"rkc2", "euler", "heun", "rk4", "bs32"}
     dt : float or "auto", optional
         A fixed step; or "auto": from the error with methods that estimate theirs ("rkc2", "bs32"),
-        from the stability limit with the others.
+        with the others from the stability limit and so that nothing moves by more than a tenth of
+        its length.
     tolerance : float, optional
         Error of one step allowed with "auto": of positions relative to the length of their body, of
         triads in radians.
@@ -61,6 +64,10 @@ class NotFiniteError(ArithmeticError):
     def __init__(self, row: int) -> None:
         super().__init__(row)
         self.row = row
+
+
+class StepSizeError(ArithmeticError):
+    """No step, however small, keeps the error within the tolerance."""
 
 
 class Stepper:
@@ -149,18 +156,17 @@ class Stepper:
         )
         if self.fixed is not None:
             self.h = self.fixed
-            self._warn(limit)
+            self._warn(limit * _MARGIN / _WARNING)
         elif not self.adaptive:
-            self.h = _SAFETY * limit
+            self.h = min(_SAFETY * limit, _time_to_move(_LARGEST_MOVE, rates / scale))
         elif self.h is None:
-            speed = np.abs(rates / scale).max(initial=0.0)
-            self.h = min(interval, 0.1 * math.sqrt(self.tolerance) / speed if speed else math.inf)
+            first = 0.1 * math.sqrt(self.tolerance)
+            self.h = min(interval, _time_to_move(first, rates / scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - 1e-12)))
 
     def _warn(self, limit: float) -> None:
         assert self.fixed is not None
-        limit *= _MARGIN
         if self.fixed > limit and not self._warned and self.method.name != "rkc2":
             self._warned = True
             warnings.warn(
@@ -185,7 +191,7 @@ class Stepper:
         self.rejections += 1
         self.h = self._next(h, ratio, h)
         if self.h < _SMALLEST * interval:
-            raise NotFiniteError(lost[0] if lost else 0)
+            raise NotFiniteError(lost[0]) if lost else StepSizeError(h)
 
     def _next(self, h: float, ratio: float, largest: float) -> float:
         """Return the next step to try, of size `largest` at most (elementary controller)."""
@@ -199,6 +205,11 @@ class Stepper:
     ) -> None:
         self.radius, self.vector = spectral_radius(f, z, rates, scale, self.vector)
         self._renew_at = self.steps + _RENEW
+
+
+def _time_to_move(distance: float, rates: np.ndarray) -> float:
+    speed = float(np.abs(rates).max(initial=0.0))
+    return distance / speed if speed > 0.0 else math.inf
 
 
 def _not_finite(values: np.ndarray) -> list[int]:

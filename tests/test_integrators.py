@@ -464,3 +464,22 @@ def test_a_run_that_blows_up():
         with pytest.raises(mrs.SimulationError, match=r"of node \d of 'rods' .* after time \d+"):
             sim.run(1e5)
     assert np.isfinite(sim.state.positions).all()
+
+
+def test_tolerance_out_of_reach_is_said():
+    """Rounding is 1e-16: no step reaches 1e-40, though everything is finite."""
+    swimmers = mrs.Swimmers([[0.0, 0, 0], [1, 0, 0]], [[0.0, 0, 1], [0, 1, 0]], length=1, force=1)
+    integrator = mrs.Integrator("bs32", tolerance=1e-40)
+    sim = mrs.Simulation(mrs.Fluid(epsilon=0.1), [swimmers], integrator=integrator)
+    with pytest.raises(mrs.SimulationError, match="tolerance 1e-40"):
+        sim.run(1.0)
+
+
+@pytest.mark.parametrize("name", ["euler", "heun", "rk4"])
+def test_automatic_steps_follow_motion_without_eigenvalues(name):
+    """A tracer in U = (1, 0, 0) has no stability limit; it moves a tenth of its cloud a step."""
+    flow = mrs.flows.QuadraticFlow(constant=[1.0, 0.0, 0.0])
+    tracers = mrs.Tracers([[0.0, 0, 0], [2.0, 0, 0]])
+    integrator = mrs.Integrator(name, "auto")
+    sim = mrs.Simulation(mrs.Fluid(background=flow), [tracers], integrator=integrator).run(1.0)
+    assert sim.stepper.steps == 5

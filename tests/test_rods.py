@@ -39,9 +39,7 @@ class Case:
         self.moduli = self.rng.uniform(0.5, 2.0, (3, 3)), self.rng.uniform(0.5, 2.0, (3, 3))
         a, b = self.moduli
         self.ends = np.cumsum((0, *self.sizes))
-        self.ds = [
-            oracle.spacings(c.nodes, oracle.triads(c.quaternions), c.closed) for c in shapes
-        ]
+        self.ds = [oracle.spacings(c.nodes, oracle.triads(c.quaternions), c.closed) for c in shapes]
         self.rods = mrs.Rods(
             shapes,
             bending=a[:, :2],
@@ -135,7 +133,11 @@ def test_rest(strain):
     line = mrs.geometry.at_rest(strain, ds, 40, origin=shift)
     for intrinsic in (strain, "initial"):
         rod = mrs.Rods(
-            line, bending=(2, 3), twisting=1.5, shearing=(4, 5), stretching=6,
+            line,
+            bending=(2, 3),
+            twisting=1.5,
+            shearing=(4, 5),
+            stretching=6,
             intrinsic_curvature=intrinsic,
         )
         f, n = rod.loads(0.0, rod.positions, rod.quaternions)
@@ -208,8 +210,12 @@ def ring_of(nodes, a, b, **options):
     ds = 2 * np.pi / nodes
     rod = mrs.Rods(
         mrs.geometry.ring(0.5 * ds / np.sin(0.5 * ds), nodes),
-        bending=a[:2], twisting=a[2], shearing=b[:2], stretching=b[2],
-        intrinsic_curvature=bent, **options,
+        bending=a[:2],
+        twisting=a[2],
+        shearing=b[:2],
+        stretching=b[2],
+        intrinsic_curvature=bent,
+        **options,
     )
     X, D = curve(ds * np.arange(nodes))
     return rod, State(X, Rotation.from_matrix(D.transpose(0, 2, 1)).as_quat())
@@ -311,7 +317,10 @@ def olc(name, dt="auto", tolerance=1e-2):
     line = mrs.geometry.straight(75 * OLC_DS, 76)
     rod = mrs.Rods(
         line._replace(quaternions=about([1, 0, 0], np.full(76, 1e-4))),
-        bending=3.5e-3, twisting=3.5e-3, shearing=0.8, stretching=0.8,
+        bending=3.5e-3,
+        twisting=3.5e-3,
+        shearing=0.8,
+        stretching=0.8,
         intrinsic_curvature=OLC_STRAIN,
     )
     integrator = mrs.Integrator(name, dt, tolerance)
@@ -390,7 +399,11 @@ def scene(turn, shift):
         mrs.geometry.ring(0.3, 10, origin=(1.0, 0.5, 0.0)).moved(**moved),
     ]
     rod = mrs.Rods(
-        lines, bending=0.02, twisting=0.02, shearing=0.5, stretching=0.5,
+        lines,
+        bending=0.02,
+        twisting=0.02,
+        shearing=0.5,
+        stretching=0.5,
         intrinsic_curvature=(1, 0, 2),
     )
     x, p = np.array([[0.5, -0.5, 0.5], [-0.5, 0.2, 0.9]]), np.array([[0, 0.6, 0.8], [0, 0, -1.0]])

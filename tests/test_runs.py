@@ -154,7 +154,7 @@ def test_mistakes_are_named(arguments, message, capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir()), "something was written"
 
 
-@pytest.mark.parametrize("name", [n for n in mrs.scenario.known() if n != "scene"])
+@pytest.mark.parametrize("name", mrs.scenario.known())
 def test_scenarios_give_their_checked_number(name):
     scene = mrs.scenario.make(name, {}, quick=True)
     result = scene.check(scene.simulation().run(scene.t_end))

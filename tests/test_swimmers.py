@@ -47,7 +47,12 @@ def test_alone_with_two_blob_sizes():
     mu, f, length, eB, eF = 0.7, -1.3, 0.8, 0.05, 0.2
     fluid = mrs.Fluid(viscosity=mu, epsilon=9.0)
     sim = swim(
-        [[0, 0, 0]], [[1, 0, 0]], fluid=fluid, force=f, length=length, epsilon=eB,
+        [[0, 0, 0]],
+        [[1, 0, 0]],
+        fluid=fluid,
+        force=f,
+        length=length,
+        epsilon=eB,
         flagellum_epsilon=eF,
     )
     expected = f / (4 * np.pi * mu) * (1 / eB - 1 / np.hypot(length, eF))
