@@ -15,7 +15,7 @@ from mrs.bodies import Body
 from mrs.flows import Flow
 from mrs.mobility import Backend, Mobility
 from mrs.state import State
-from mrs.stepper import Integrator, NotFiniteError, StepSizeError, Stepper
+from mrs.stepper import Integrator, NotFiniteError, Stepper, StepSizeError
 from mrs.steric import Steric
 from mrs.trackers import Output, Tracker, standard_trackers
 
