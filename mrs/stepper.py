@@ -18,7 +18,7 @@ from mrs.state import State
 _SAFETY = 0.8  # of step sizes against the error and the stability limit
 _MARGIN = 1.1  # of the spectral radius, an estimate from below
 _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: lengths of bodies, radians
-_WARNING = 1.05  # as `_MARGIN`, where too early a warning is as bad as one too late
+_WARNING = 1.02  # as `_MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 
