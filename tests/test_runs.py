@@ -5,6 +5,7 @@ import os
 import random
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -57,28 +58,30 @@ def begin(*arguments):
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
+def kill_on_its_way(process, checkpoint_file, delay):
+    """Kill -9 some time after the process has written its first checkpoint."""
+    before = checkpoint_file.stat().st_mtime_ns if checkpoint_file.exists() else None
+    while process.poll() is None:
+        if checkpoint_file.exists() and checkpoint_file.stat().st_mtime_ns != before:
+            time.sleep(delay)
+            break
+        time.sleep(0.001)
+    process.kill()
+    process.wait()
+
+
 def test_killed_and_resumed_run_is_bitwise_the_same(tmp_path):
     """20 kills -9 at random moments, with a checkpoint after every step."""
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     options = ["--set", "checkpoint_seconds=0", "--set", "t_end=1.0"]
     assert cli.main(["run", str(SCENE), "--output", str(whole), *options]) == 0
     moments = random.Random(0)
-    process = begin("run", SCENE, "--output", killed, *options)
     steps = []
-    for _ in range(20):
-        try:
-            process.wait(moments.uniform(1.0, 3.0))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        if (killed / "checkpoint.h5").exists():
-            steps.append(state_of(killed)[1]["integrator"]["steps"])
-            process = begin("resume", killed)
-        else:  # killed before the first checkpoint: nothing to go on from
-            process = begin("run", SCENE, "--output", killed, "--overwrite", *options)
-    process.kill()
-    process.wait()
-    assert len(set(steps)) > 3, "the kills did not hit a run on its way"
+    for kill in range(20):
+        arguments = ["resume", killed] if kill else ["run", SCENE, "--output", killed, *options]
+        kill_on_its_way(begin(*arguments), killed / "checkpoint.h5", moments.uniform(0.0, 0.1))
+        steps.append(state_of(killed)[1]["integrator"]["steps"])
+    assert len(set(steps)) > 10, "the kills did not hit a run on its way"
     assert cli.main(["resume", str(killed)]) == 0
     assert_equal_runs(whole, killed)
 

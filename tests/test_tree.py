@@ -25,6 +25,7 @@ def point_sets():
         "neighbours": 1.0 + np.arange(200)[:, None] * [np.finfo(float).eps] * np.ones(3),
         "tiny": spread * 1e-60,
         "huge": spread * 1e60,
+        "smallest doubles": np.round(4 * spread - 2) * 5e-324,
         "one": spread[:1],
         "none": spread[:0],
     }
@@ -53,10 +54,10 @@ def check_tree(points, leaf_size, shrink):
         inside = sorted_points[:, tree.start[c] : tree.stop[c]]
         scale = np.abs(tree.center[:, c]) + tree.half[:, c]
         reach = np.abs(inside - tree.center[:, c, None]).max(axis=1)
-        assert np.all(reach <= tree.half[:, c] + 4e-16 * scale)
+        assert np.all(reach <= tree.half[:, c] + 4e-16 * scale + 5e-324)  # half of that is zero
         assert tree.radius[c] == pytest.approx(np.linalg.norm(tree.half[:, c]), rel=1e-14)
         if shrink:
-            assert np.allclose(reach, tree.half[:, c], rtol=1e-9, atol=4e-16 * scale.max())
+            assert np.allclose(reach, tree.half[:, c], rtol=1e-9, atol=4e-16 * scale.max() + 5e-324)
         if leaves[c]:
             same_place = np.all(inside == inside[:, :1])
             assert tree.stop[c] - tree.start[c] <= leaf_size or same_place

@@ -100,7 +100,8 @@ def _middles(box, middle):
     for d in range(3):
         low, high = box[d], box[3 + d]
         middle[d] = math.inf
-        if high - low > longest * math.sqrt(0.5):
+        # The longest side by name: times sqrt(1/2), the smallest double rounds to itself.
+        if high - low == longest or high - low > longest * math.sqrt(0.5):
             middle[d] = low + 0.5 * (high - low)
             if middle[d] >= high:  # neighbouring floating point numbers: keep them apart
                 middle[d] = low
