@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ __all__ = [
     "broadcast",
     "computable",
     "direction",
+    "file_name",
+    "instance",
     "integer",
     "number",
     "one_of",
@@ -19,6 +22,7 @@ __all__ = [
     "positive",
     "rows",
     "vector",
+    "vectors",
 ]
 
 
@@ -37,6 +41,32 @@ def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.in
         bound = "" if low == -np.inf else f" and greater than {low:g}"
         raise ValueError(f"{name} must be finite{bound}, got {value!r}")
     return array
+
+
+def instance(name: str, value: Any, *kinds: type) -> Any:
+    """Return `value` if it is of one of `kinds`."""
+    if not isinstance(value, kinds):
+        allowed = " or ".join("None" if k is type(None) else f"mrs.{k.__name__}" for k in kinds)
+        raise TypeError(f"{name} must be {allowed}, got {value!r}")
+    return value
+
+
+def file_name(name: str, value: Any) -> str:
+    """Return `value` if it can be the name of a file anywhere."""
+    if not isinstance(value, str) or not re.fullmatch(r"\w[\w .-]{0,63}", value):
+        raise ValueError(
+            f"{name} must be a text of 1 to 64 letters, digits, '_', '-', '.' or spaces, "
+            f"got {value!r}"
+        )
+    return value
+
+
+def vectors(name: str, value: Any, count: int) -> np.ndarray:
+    """Return what a user's function gave: (count, 3), or (3,) for all alike."""
+    array = np.asarray(value, float)
+    if array.shape not in ((3,), (count, 3)):
+        raise ValueError(f"{name} must give shape (3,) or ({count}, 3), got {array.shape}")
+    return np.broadcast_to(array, (count, 3))
 
 
 def vector(name: str, value: Any) -> np.ndarray:

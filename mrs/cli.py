@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import signal
 import sys
+import traceback
 from pathlib import Path
 from typing import Any
 
 from mrs import runs, scenario
+from mrs.rundir import CONFIG, tomllib
 from mrs.scenario import ScenarioError
 from mrs.simulation import Simulation, SimulationError
 from mrs.trackers import Progress
@@ -33,9 +36,17 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped; go on with `mrs resume`", file=sys.stderr)
         return 130
-    except (ScenarioError, SimulationError, ValueError, TypeError, OSError) as error:
+    except (ScenarioError, SimulationError, ValueError, TypeError, IndexError, OSError) as error:
+        if _in_users_file(error):
+            raise
         print(f"mrs: {error}", file=sys.stderr)
         return 1
+
+
+def _in_users_file(error: Exception) -> bool:
+    """Return whether the error came out of a scenario in a file of the user's: show where."""
+    frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
+    return any(frame.f_globals["__name__"].startswith(scenario.FILE_PREFIX) for frame in frames)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -54,8 +65,18 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _numbers(text: str) -> list[float]:
-    return [float(word) for word in text.replace(" ", "").split(",")]
+def _camera(text: str) -> list[float]:
+    numbers = [float(word) for word in text.split(",")]
+    if len(numbers) != 9 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be nine numbers, got {text!r}")
+    return numbers
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, height = (int(word) for word in text.split(","))
+    if not 16 <= min(width, height) <= max(width, height) <= 10_000:
+        raise argparse.ArgumentTypeError(f"must be two numbers from 16 to 10000, got {text!r}")
+    return width, height
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -69,16 +90,11 @@ def _run(options: argparse.Namespace) -> None:
     if options.options:
         _print_options(scene)
         return
-    directory = (
-        options.output
-        or Path("outputs") / scenario.name_of(type(scene)).removesuffix(".py").rpartition("/")[2]
-    )
+    directory = options.output or Path("outputs") / Path(options.scene).stem
     sim = scene.simulation(directory, overwrite=options.overwrite)
     sim.trackers.append(Progress())
     sim.run(scene.t_end, max_walltime=options.max_walltime)
-    _report(sim, directory)
-    if sim.time >= scene.t_end:
-        print(scene.check(sim))
+    _report(sim, scene, directory)
     if options.picture:
         from mrs.output.render import render
 
@@ -94,9 +110,11 @@ def _assign(values: dict[str, Any], item: str) -> None:
     *groups, last = path.strip().split(".")
     for group in groups:
         values = values.setdefault(group, {})
+        if not isinstance(values, dict):
+            raise ScenarioError(f"--set: {item!r}, but {group!r} has a value already")
     try:
-        values[last] = runs.tomllib.loads(f"value = {text}")["value"]
-    except runs.tomllib.TOMLDecodeError:
+        values[last] = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
         values[last] = text.strip()
 
 
@@ -106,19 +124,21 @@ def _print_options(scene: scenario.Scenario) -> None:
         print(f"{name} = {json.dumps(values[name])}\n    {field.description or ''}")
 
 
-def _report(sim: Simulation, directory: Path) -> None:
+def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> None:
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
         f"{sim.stepper.rejections} rejected, {sim.mobility.evaluations} evaluations by {names}"
     )
+    if sim.time >= sim.t_end:
+        print(scene.check(sim))
 
 
 def _resume(options: argparse.Namespace) -> None:
     sim = runs.resume(
         options.directory, options.t_end, [Progress()], max_walltime=options.max_walltime
     )
-    _report(sim, options.directory)
+    _report(sim, scenario.make(*runs.read_input(options.directory / CONFIG)), options.directory)
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -167,7 +187,7 @@ def _render(options: argparse.Namespace) -> None:
         frame=frame,
         color_by=options.color_by,
         camera=camera,
-        size=(int(options.size[0]), int(options.size[1])),
+        size=options.size,
     )
     print(destination)
 
@@ -265,13 +285,13 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "help": "a field at points or rods, such as velocity or tension",
             },
             "--camera": {
-                "type": _numbers,
+                "type": _camera,
                 "metavar": "X,Y,Z,...",
                 "help": "nine numbers: position, focal point, up",
             },
             "--size": {
-                "type": _numbers,
-                "default": [1280, 800],
+                "type": _size,
+                "default": (1280, 800),
                 "metavar": "W,H",
                 "help": "in pixels (default 1280,800)",
             },

@@ -91,6 +91,13 @@ class UserFlow:
     """
 
     def __init__(self, velocity: Field, vorticity: Field | None = None) -> None:
-        self.velocity = velocity
+        self.velocity = _checked("velocity", velocity)
         if vorticity is not None:
-            self.vorticity = vorticity
+            self.vorticity = _checked("vorticity", vorticity)
+
+
+def _checked(name: str, field: Field) -> Field:
+    """Return `field` with its values checked at every call."""
+    if not callable(field):
+        raise TypeError(f"{name} must be a function of points and time, got {field!r}")
+    return lambda points, time: check.vectors(name, field(points, time), len(points))

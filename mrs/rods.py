@@ -137,7 +137,7 @@ class Rods(Body):
             raise TypeError(
                 f"centerlines must be one or more mrs.geometry.Centerline, got {centerlines!r}"
             )
-        self.name = name
+        self.name = check.file_name("name", name)
         self.positions = check.points("centerlines", np.concatenate([rod.nodes for rod in rods]))
         quaternions = np.concatenate([rod.quaternions for rod in rods])
         self.quaternions = rotations.normalize(
@@ -159,6 +159,9 @@ class Rods(Body):
         self._measure()
         self._delay = check.broadcast("delay", delay, (count,))
         self._set_intrinsic(intrinsic_curvature, beat)
+        if isinstance(self.base, Drive):
+            for what in ("velocity", "angular_velocity"):
+                check.broadcast(f"base: {what}", self._at_bases(what, 0.0), (count, 3))
         self.epsilon = None if epsilon is None else check.positive("epsilon", epsilon)
         self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
 
@@ -226,8 +229,12 @@ class Rods(Body):
             return self._intrinsic
         s = self.arclength[self._left] + 0.5 * self.spacing
         t = (time - self._delay)[self.rod_of_segment]
-        fixed = self._intrinsic(s, t) if callable(self._intrinsic) else self._intrinsic
-        return np.asarray(fixed, float) + (0.0 if self._beat is None else self._beat(s, t))
+        fixed = self._intrinsic
+        if callable(fixed):
+            fixed = check.vectors("intrinsic_curvature", fixed(s, t), len(s))
+        return (
+            fixed if self._beat is None else fixed + check.vectors("beat", self._beat(s, t), len(s))
+        )
 
     def elasticity(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> Elasticity:
         """Return strains halfway between the nodes."""
@@ -297,12 +304,14 @@ class Rods(Body):
             velocity[self.first] = 0.0
             spin[self.first] = 0.0
         elif isinstance(self.base, Drive):
-            velocity[self.first] = self._at_bases(self.base.velocity, time)
-            spin[self.first] = self._at_bases(self.base.angular_velocity, time)
+            velocity[self.first] = self._at_bases("velocity", time)
+            spin[self.first] = self._at_bases("angular_velocity", time)
         return velocity, spin
 
-    def _at_bases(self, motion: Any, time: float) -> Any:
-        return motion(time - self._delay) if callable(motion) else motion
+    def _at_bases(self, what: str, time: float) -> np.ndarray:
+        motion = getattr(self.base, what)
+        value = motion(time - self._delay) if callable(motion) else motion
+        return check.vectors(f"base: {what}", value, len(self.first))
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each node, (nodes,)."""

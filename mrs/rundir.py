@@ -5,29 +5,36 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import tomli_w
+from filelock import FileLock, Timeout
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 CONFIG = "config.toml"
+_WRITTEN = (CONFIG, "checkpoint*.h5", "log.csv", "*.vtkhdf", "*.pvd")
 
 
-def create(
-    directory: str | Path, recipe: dict[str, Any] | None, t_end: float, *, overwrite: bool
-) -> None:
-    """Make a directory with its config.toml.
+def require_free(directory: str | Path, *, overwrite: bool) -> None:
+    """Refuse a directory that holds a run, unless `overwrite`, or anything else but no run.
 
     Raises
     ------
     FileExistsError
-        If there is a run in it, unless `overwrite`; or if it holds anything else.
     """
     directory = Path(directory)
     present = sorted(path.name for path in directory.iterdir()) if directory.is_dir() else []
-    if present and CONFIG not in present:
+    if present and not _is_run(directory):
         raise FileExistsError(
             f"{directory} holds {present[0]!r} and no run; choose an empty directory"
         )
@@ -35,13 +42,77 @@ def create(
         raise FileExistsError(
             f"{directory} holds a run; resume it, choose another, or overwrite it"
         )
-    if present:
-        shutil.rmtree(directory)
+
+
+@contextmanager
+def held(directory: str | Path) -> Iterator[None]:
+    """Keep other processes from running in a directory, which is made if it is missing.
+
+    Raises
+    ------
+    FileExistsError
+        If another run goes on in it.
+    """
+    directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    content = {"run": {"t_end": t_end}, "versions": versions()}
-    if recipe is not None:
-        content = recipe | content
-    (directory / CONFIG).write_text(tomli_w.dumps(content), encoding="utf-8")
+    try:
+        with FileLock(directory / ".lock", timeout=0):
+            yield
+    except Timeout:
+        raise FileExistsError(f"{directory}: a run is going on in it") from None
+
+
+def begin(directory: str | Path, recipe: dict[str, Any] | None, t_end: float) -> None:
+    """Delete the files of an earlier run, no others, and write config.toml."""
+    directory = Path(directory)
+    for pattern in _WRITTEN:
+        for path in directory.glob(pattern):
+            path.unlink()
+            if path.suffix == ".pvd":
+                shutil.rmtree(path.with_suffix(""), ignore_errors=True)
+    _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
+
+
+def read(directory: str | Path) -> dict[str, Any]:
+    """Return config.toml.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the directory holds no run.
+    """
+    if not _is_run(Path(directory)):
+        raise FileNotFoundError(f"{directory} holds no run: no {CONFIG} with [run] and [versions]")
+    return load_toml(Path(directory) / CONFIG)
+
+
+def extend(directory: str | Path, t_end: float) -> None:
+    """Note in config.toml until when the run goes."""
+    content = read(directory)
+    if content["run"]["t_end"] != t_end:
+        content["run"]["t_end"] = t_end
+        _write(Path(directory), content)
+
+
+def load_toml(path: str | Path) -> dict[str, Any]:
+    """Return the contents of a TOML file; ValueError names the file if it is none."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except ValueError as error:  # not TOML, or not UTF-8
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _is_run(directory: Path) -> bool:
+    if not (directory / CONFIG).is_file():
+        return False
+    content = load_toml(directory / CONFIG)
+    return "t_end" in content.get("run", {}) and "versions" in content
+
+
+def _write(directory: Path, content: dict[str, Any]) -> None:
+    temporary = directory / f".{CONFIG}"
+    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
+    temporary.replace(directory / CONFIG)
 
 
 @cache

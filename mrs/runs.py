@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mrs import rundir
+from mrs import check, rundir
 from mrs.output import checkpoint, field, log, vtkhdf
 from mrs.scenario import Scenario, ScenarioError, make
 from mrs.simulation import Simulation
 from mrs.trackers import Tracker
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 Velocity = Callable[[np.ndarray], np.ndarray]
 
@@ -31,10 +25,7 @@ def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
     ScenarioError
         If it is not TOML, or has keys besides `scenario`, `options`, and what a run adds.
     """
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{path}: {error}") from None
+    content = rundir.load_toml(path)
     unknown = set(content) - {"scenario", "options", "run", "versions"}
     if unknown or "scenario" not in content:
         what = f"unknown {', '.join(sorted(unknown))}" if unknown else "no scenario"
@@ -42,7 +33,10 @@ def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
             f"{path}: {what}; a run made from a scenario, and an input file, have "
             '`scenario = "name"` and a table [options]'
         )
-    return content["scenario"], content.get("options", {})
+    scenario, options = content["scenario"], content.get("options", {})
+    if not isinstance(scenario, str) or not isinstance(options, dict):
+        raise ScenarioError(f"{path}: scenario must be a text and options a table")
+    return scenario, options
 
 
 def resume(
@@ -76,10 +70,10 @@ def resume(
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
     """
-    scenario = _scenario(directory)
-    sim = restart(scenario.simulation(directory))
+    sim = restart(_scenario(directory).simulation(directory))
     sim.trackers.extend(trackers)
-    return sim.run(t_end or scenario.t_end, **options)
+    noted = rundir.read(directory)["run"]["t_end"]
+    return sim.run(noted if t_end is None else t_end, **options)
 
 
 def restart(sim: Simulation) -> Simulation:
@@ -93,7 +87,7 @@ def restart(sim: Simulation) -> Simulation:
 def info(directory: str | Path) -> dict[str, Any]:
     """Return what is known of a run: its options, versions, time reached, frames, last log row."""
     directory = Path(directory)
-    content = tomllib.loads((directory / rundir.CONFIG).read_text(encoding="utf-8"))
+    content = rundir.read(directory)
     _, values = checkpoint.load(directory / "checkpoint.h5")
     files = {}
     for path in sorted(directory.glob("*.vtkhdf")):
@@ -132,6 +126,8 @@ def frame_velocity(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, 
     points, loads = [], []
     for body in sim.bodies:
         with vtkhdf.Trajectory(Path(directory) / f"{body.name}.vtkhdf") as trajectory:
+            if not -len(trajectory) <= frame < len(trajectory):
+                raise ValueError(f"frame must be one of {len(trajectory)}, got {frame}")
             number = range(len(trajectory))[frame]
             time = trajectory.times[number]
             points.append(trajectory.points(number))
@@ -155,27 +151,29 @@ def write_field(directory: str | Path, frame: int = -1, resolution: int = 40) ->
     frame : int, optional
         Its number; the last by default.
     resolution : int, optional
-        Grid points along the longest side; a third as many streamlines start along each.
+        Grid points along the longest side; a fifth as many streamlines start along it.
 
     Returns
     -------
     list of Path
         field.vti and streamlines.vtp in the run directory.
     """
+    check.integer("resolution", resolution, 2, 1000)
     points, velocity = frame_velocity(directory, frame)
     grid = field.grid_around(points, resolution=resolution)
     values = velocity(grid.points)
     paths = [Path(directory) / name for name in ("field.vti", "streamlines.vtp")]
     field.write_field(paths[0], grid, values)
-    seeds = field.grid_around(points, resolution=max(2, resolution // 3), padding=0.0).points
+    seeds = field.grid_around(points, resolution=max(2, resolution // 5), padding=0.0).points
     field.streamlines(paths[1], grid, values, seeds)
     return paths
 
 
 def _scenario(directory: str | Path) -> Scenario:
     """Return the scenario of a run."""
-    config = Path(directory) / rundir.CONFIG
-    if not config.is_file():
-        raise FileNotFoundError(f"{directory} holds no run: there is no {rundir.CONFIG} in it")
-    name, options = read_input(config)
-    return make(name, options)
+    if "scenario" not in rundir.read(directory):
+        raise ScenarioError(
+            f"{directory}: made by a script; build the same simulation there, and go on with "
+            "mrs.restart(sim).run(t_end)"
+        )
+    return make(*read_input(Path(directory) / rundir.CONFIG))

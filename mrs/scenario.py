@@ -19,6 +19,7 @@ from mrs.simulation import Simulation
 from mrs.stepper import Integrator
 from mrs.trackers import Output
 
+FILE_PREFIX = "file_"  # of the module made of a scenario in a file
 PACKAGE = "scenarios"  # where those that come with the project are; found by name, not imported
 
 
@@ -150,7 +151,7 @@ def _only(module: Any, name: str) -> type[Scenario]:
 
 
 def _import_file(path: Path) -> Any:
-    spec = importlib.util.spec_from_file_location(f"file_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(FILE_PREFIX + path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise ScenarioError(f"scenario: there is no file {str(path)!r}")
     module = importlib.util.module_from_spec(spec)

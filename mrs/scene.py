@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from mrs import flows, geometry
 from mrs.rods import Drive, Rods, TravellingWave
-from mrs.scenario import Check, Scenario
+from mrs.scenario import Check, Scenario, ScenarioError
 from mrs.simulation import Fluid, Simulation
 from mrs.steric import Steric
 from mrs.swimmers import Swimmers, lattice_suspension, random_suspension
@@ -84,7 +84,6 @@ RodOptions: Any = _call(
 )
 SwimmerOptions: Any = _call(
     Swimmers,
-    leave_out="positions",
     positions=(Vectors | None, None),
     orientations=(Vectors | None, None),
     suspension=(Suspension | None, None),
@@ -141,4 +140,6 @@ def _swimmers(options: Any) -> Swimmers:
     if suspension is not None:
         make = {f.__name__: f for f in (random_suspension, lattice_suspension)}[suspension.kind]
         arguments["positions"], arguments["orientations"] = make(**suspension.arguments())
+    if not {"positions", "orientations"} <= set(arguments):
+        raise ScenarioError("swimmers: must have a suspension, or positions and orientations")
     return Swimmers(**arguments)

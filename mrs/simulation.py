@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -111,9 +112,12 @@ class Simulation:
         trackers: Iterable[Tracker] = (),
         recipe: dict[str, Any] | None = None,
     ) -> None:
+        check.instance("fluid", fluid, Fluid)
         check.positive("viscosity", fluid.viscosity)
         self.fluid = fluid
-        self.bodies = tuple(bodies)
+        self.bodies = tuple(check.instance("bodies", body, Body) for body in bodies)
+        check.instance("steric", steric, Steric, type(None))
+        check.instance("output", output, Output, type(None))
         self.backend = backend if isinstance(backend, Backend) else Backend(backend)
         self.integrator = (
             integrator if isinstance(integrator, Integrator) else Integrator(integrator)
@@ -136,6 +140,8 @@ class Simulation:
             np.concatenate([body.positions for body in self.bodies]),
             np.concatenate([body.quaternions for body in self.bodies]),
         )
+        if not len(self.state.positions):
+            raise ValueError("bodies must have at least one point")
         initial = [body.points(body.positions, body.quaternions) for body in self.bodies]
         places = zip(
             self.bodies,
@@ -344,20 +350,30 @@ class Simulation:
         SimulationError
             If the state would not be finite; it is left as it was.
         """
+        if self.stepper.steps % _CORRECT_EVERY == 0:
+            self._correct()
+        before = self.stepper.history()
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                self.time, self.state = self.stepper.step(self, self.time, self.state, stop)
-            if self.stepper.steps % _CORRECT_EVERY == 0:
-                self._correct()
-        except NotFiniteError as error:
-            raise SimulationError(self._where(error.row)) from None
-        except StepSizeError:
-            raise SimulationError(
+                time, state = self.stepper.step(self, self.time, self.state, stop)
+        except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
+            self.stepper.restore(*before)
+            raise self._explained(error) from None
+        self.time, self.state = time, state
+
+    def _explained(self, error: BaseException) -> BaseException:
+        """Return what to tell the user."""
+        if isinstance(error, NotFiniteError):
+            return SimulationError(self._where(error.row))
+        if isinstance(error, StepSizeError):
+            return SimulationError(
                 f"at time {self.time:g} no step is small enough for tolerance "
-                f"{self.integrator.tolerance:g}; allow a larger one"
-            ) from None
-        except FloatingPointError as error:
-            raise SimulationError(f"at time {self.time:g}: {error}") from None
+                f"{self.integrator.tolerance:g}; allow a larger one, or look for forces, "
+                "lengths or times out of scale"
+            )
+        if isinstance(error, FloatingPointError):
+            return SimulationError(f"at time {self.time:g}: {error}")
+        return error
 
     def _correct(self) -> None:
         """Let the sums meet their tolerance again."""
@@ -405,18 +421,35 @@ class Simulation:
             After ctrl-C, with a checkpoint written.
         """
         self.t_end = check.number("t_end", t_end, 0.0, 1e300)
+        if t_end < self.time:
+            raise ValueError(f"t_end must be at least the present time {self.time:g}, got {t_end}")
+        with ExitStack() as stack:
+            if self.output is not None:
+                self._enter(self.output, stack)
+            self._run(max_walltime)
+        return self
+
+    def _enter(self, output: Output, stack: ExitStack) -> None:
+        """Take the run directory."""
+        if not self.resumed:
+            rundir.require_free(output.directory, overwrite=output.overwrite)
+        stack.enter_context(rundir.held(output.directory))
+        if self.resumed:
+            rundir.extend(output.directory, self.t_end)
+        else:
+            rundir.begin(output.directory, self.recipe, self.t_end)
+
+    def _run(self, max_walltime: float | None) -> None:
         start = clock.monotonic()
-        if self.output is not None and not self.resumed:
-            rundir.create(
-                self.output.directory, self.recipe, self.t_end, overwrite=self.output.overwrite
-            )
         begun = []
         try:
             for tracker in self.trackers:
                 begun.append(tracker)
                 tracker.initialize(self)
-            while self.time < t_end:
-                stop = min([t_end, *(tracker.next_time(self.time) for tracker in self.trackers)])
+            while self.time < self.t_end:
+                stop = min(
+                    [self.t_end, *(tracker.next_time(self.time) for tracker in self.trackers)]
+                )
                 self.step(stop)
                 for tracker in self.trackers:
                     tracker.handle(self)
@@ -426,7 +459,6 @@ class Simulation:
             for tracker in begun:
                 tracker.finalize(self)
             self.resumed = True  # a second call goes on
-        return self
 
 
 def _slices(sizes: Iterable[int]) -> list[slice]:

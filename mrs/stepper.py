@@ -163,11 +163,12 @@ class Stepper:
             first = 0.1 * math.sqrt(self.tolerance)
             self.h = min(interval, _time_to_move(first, rates / scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
+        wanted = max(wanted, 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - 1e-12)))
 
     def _warn(self, limit: float) -> None:
         assert self.fixed is not None
-        if self.fixed > limit and not self._warned and self.method.name != "rkc2":
+        if self.fixed > limit and not self._warned:
             self._warned = True
             warnings.warn(
                 f"dt: {self.fixed:g} is beyond the stability limit {limit:.3g} of "

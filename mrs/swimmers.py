@@ -63,7 +63,7 @@ class Swimmers(Body):
         radius: Any = None,
         name: str = "swimmers",
     ) -> None:
-        self.name = name
+        self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         count = len(self.positions)
         along = check.rows("orientations", orientations, 3, count)
@@ -185,6 +185,10 @@ def random_suspension(
     check.integer("count", count, 0)
     edges = check.broadcast("size", size, (3,), 0.0)
     spacing = check.number("spacing", spacing, -1e-300, 1e60)
+    if count * spacing**3 * np.pi / 6.0 > 0.64 * edges.prod():  # random close packing
+        raise ValueError(
+            f"count: {count} swimmers {spacing:g} apart do not fit a box of size {size!r}"
+        )
     rng = np.random.default_rng(seed)
     positions, along = np.empty((0, 3)), np.empty((0, 3))
     for _ in range(200):

@@ -24,7 +24,7 @@ class Tracers(Body):
     has_force = False
 
     def __init__(self, positions: Any, *, name: str = "tracers") -> None:
-        self.name = name
+        self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         self.quaternions = np.empty((0, 4))
         self.length_scale = (

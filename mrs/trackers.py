@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time as clock
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -76,20 +77,16 @@ class _Frames(Tracker):
         self.interval = check.positive("interval", output.interval)
 
     def initialize(self, sim: Simulation) -> None:
-        if sim.resumed:
-            last = self.cut(sim)
-            if last == sim.time or not self.due(sim.time):
-                return
-        else:
-            self.create(sim)
-        self.write(sim)
+        self.create(sim)
+        if self.cut(sim) != sim.time and self.due(sim.time):
+            self.write(sim)
 
     def handle(self, sim: Simulation) -> None:
         if self.due(sim.time):
             self.write(sim)
 
     def create(self, sim: Simulation) -> None:
-        """Make new files."""
+        """Make the files that are missing."""
         raise NotImplementedError
 
     def cut(self, sim: Simulation) -> float | None:
@@ -106,6 +103,8 @@ class Trajectories(_Frames):
 
     def create(self, sim: Simulation) -> None:
         for body in sim.bodies:
+            if self._path(body).exists():
+                continue
             at_points, at_cells = body.constant_fields(sim.body_epsilons(body))
             meta = {"kind": body.kind, **rundir.versions(), **_META}
             vtkhdf.create(
@@ -114,7 +113,7 @@ class Trajectories(_Frames):
         paraview.write_macro(self.directory)
 
     def cut(self, sim: Simulation) -> float | None:
-        return min((vtkhdf.cut(self._path(body), sim.time) for body in sim.bodies), key=_or_before)
+        return _cut_alike(vtkhdf.cut, [self._path(body) for body in sim.bodies], sim.time)
 
     def write(self, sim: Simulation) -> None:
         for body in sim.bodies:
@@ -136,7 +135,7 @@ class Live(_Frames):
         """Nothing: the first frame makes the folder."""
 
     def cut(self, sim: Simulation) -> float | None:
-        return min((live.cut(self._path(body), sim.time) for body in sim.bodies), key=_or_before)
+        return _cut_alike(live.cut, [self._path(body) for body in sim.bodies], sim.time)
 
     def write(self, sim: Simulation) -> None:
         for body in sim.bodies:
@@ -245,12 +244,20 @@ _META = {
 
 
 def standard_trackers(output: Output | None) -> list[Tracker]:
-    """Return those that write a run directory; a checkpoint comes after what it vouches for."""
+    """Return those that write a run directory; the first checkpoint comes before any work."""
     if output is None:
         return []
     frames: list[Tracker] = [Trajectories(output), Log(output)]
-    return [*frames, *([Live(output)] if output.live else []), Checkpoints(output)]
+    return [Checkpoints(output), *frames, *([Live(output)] if output.live else [])]
 
 
-def _or_before(time: float | None) -> float:
-    return -math.inf if time is None else time
+def _cut_alike(cut: Callable, paths: list[Path], time: float) -> float:
+    """Cut all files to the last frame, not after `time`, that each of them has; return its time.
+
+    A run may have been stopped between the files of two bodies.
+    """
+    left = [cut(path, time) for path in paths]
+    last = min(-math.inf if t is None else t for t in left)
+    for path in paths:
+        cut(path, last)
+    return last

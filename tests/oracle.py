@@ -159,15 +159,20 @@ def rounding(kernel, sources, strengths, targets=None):
     """Return how far rounding may take a direct sum in double precision, (M, value_size).
 
     A term is some 30 operations on the correctly rounded r, of which up to seven powers of 1/R
-    and the differences in D1 and r^2 accumulate; N terms are added. The floor is for numbers
-    below the smallest double: sums, and products of strengths and r before a power of 1/R.
+    and the differences in D1 and r^2 accumulate; N terms are added. The floor is for numbers below
+    the smallest double: sums, and products of r with strengths and powers of 1/R in any order, of
+    which one may be lost and the others make the loss larger.
     """
     n = len(strengths)
     targets = sources if targets is None else targets
     majorant = _contributions(kernel, sources, strengths, targets, EXTENDED, majorant=True)
-    inverse = _distance2(kernel, sources, targets) ** np.longdouble(-0.5)
+    distance2 = _distance2(kernel, sources, targets)
+    inverse = distance2 ** np.longdouble(-0.5)
     power = max(channel.nu for channel in _CHANNELS[type(kernel).__name__]) - 1
-    floor = np.longdouble(2.0**-1074) * (1 + inverse**power).sum(axis=1)[:, None]
+    reach = 1 + np.where(np.isinf(distance2), 0, distance2)
+    largest = 1 + np.abs(np.asarray(strengths, EXTENDED)).sum(axis=1)
+    losses = (1 + inverse**power) * reach * largest
+    floor = np.longdouble(2.0**-1074) * losses.sum(axis=1)[:, None]
     return (32 + n) * (UNIT * majorant.sum(axis=1) + floor)
 
 

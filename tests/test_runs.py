@@ -199,3 +199,119 @@ def test_nothing_needs_pictures_to_compute():
     code = f"import sys, mrs, mrs.cli; print(sorted({heavy} & set(sys.modules)))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
+
+
+def test_stopped_between_the_files_of_two_bodies(tmp_path, monkeypatch):
+    """Ctrl-C after one file has the frame and before the other: resume ends as if it had not."""
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    arguments = ["run", str(SCENE), "--set", "t_end=0.3", "--output"]
+    assert cli.main([*arguments, str(whole)]) == 0
+    append = vtkhdf.append
+
+    def interrupted(path, when, *frame):
+        if path.stem == "motor" and when > 0.15:
+            raise KeyboardInterrupt
+        append(path, when, *frame)
+
+    monkeypatch.setattr(vtkhdf, "append", interrupted)
+    assert cli.main([*arguments, str(halves)]) == 130
+    monkeypatch.undo()
+    assert cli.main(["resume", str(halves)]) == 0
+    assert_equal_runs(whole, halves)
+
+
+def test_interrupted_step_leaves_no_trace(monkeypatch):
+    """The step size and the spectrum belong to the state: both are those before the step."""
+    sim = mrs.scenario.make("helical_swimmer", {}, quick=True).simulation()
+    sim.step(0.05)
+    before = sim.snapshot()
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(type(sim.state), "moved", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        sim.step(0.05)
+    np.testing.assert_equal(sim.snapshot(), before)
+
+
+def test_stopped_before_the_first_frame(tmp_path, monkeypatch):
+    """There is a checkpoint before anything is computed, and the run can go on from it."""
+    whole, early = tmp_path / "whole", tmp_path / "early"
+    assert cli.main(swim(whole, 0.1)) == 0
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Mobility, "__call__", interrupted)
+    assert cli.main(swim(early, 0.1)) == 130
+    monkeypatch.undo()
+    assert cli.main(["resume", str(early)]) == 0
+    assert_equal_runs(whole, early)
+
+
+def test_overwriting_spares_what_is_not_the_runs(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert cli.main(swim(run, 0.05)) == 0
+    (run / "notes.txt").write_text("mine")
+    assert cli.main([*swim(run, 0.1), "--overwrite"]) == 0
+    assert (run / "notes.txt").read_text() == "mine"
+    assert len(trajectories(run)["flagellum.vtkhdf"][0]) == 3
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "config.toml").write_text('theme = "dark"')
+    assert cli.main([*swim(other, 0.1), "--overwrite"]) == 1
+    assert (other / "config.toml").read_text() == 'theme = "dark"'
+
+
+def test_one_run_at_a_time_in_a_directory(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert cli.main(swim(run, 0.05)) == 0
+    with mrs.rundir.held(run):
+        assert cli.main(["resume", str(run), "--t-end", "1"]) == 1
+        assert cli.main([*swim(run, 0.05), "--overwrite"]) == 1
+    assert capsys.readouterr().err.count("a run is going on in it") == 2
+    assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 0
+
+
+def test_a_new_end_is_remembered(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert cli.main(swim(run, 0.05)) == 0
+    assert cli.main(["resume", str(run), "--t-end", "0.2", "--max-walltime", "0"]) == 0
+    assert not mrs.runs.info(run)["finished"]
+    assert cli.main(["resume", str(run)]) == 0
+    assert mrs.runs.info(run)["time"] == 0.2
+    assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 1
+    assert "t_end must be at least the present time 0.2" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["../evil", "a/b", "", ".", "x" * 300, 3, None])
+def test_names_are_those_of_files(name):
+    with pytest.raises(ValueError, match="name must be a text of 1 to 64 letters"):
+        mrs.Tracers([[0.0, 0.0, 0.0]], name=name)
+
+
+@pytest.mark.parametrize("values", [(1.0, 2.0), 5.0, [[1.0, 2.0, 3.0]] * 7, np.ones((4, 1))])
+def test_what_users_functions_give_is_checked(values):
+    """Shapes that would broadcast along the wrong axis among them."""
+    line = mrs.geometry.straight(1.0, 4)
+    moduli = {"bending": 1.0, "twisting": 1.0, "shearing": 1.0, "stretching": 1.0}
+    with pytest.raises(ValueError, match="beat must give"):
+        mrs.Rods(line, beat=lambda s, t: values, **moduli)
+    with pytest.raises(ValueError, match="base: velocity must give"):
+        mrs.Rods(line, base=mrs.Drive(velocity=values), **moduli)
+    flow = mrs.flows.UserFlow(lambda points, time: values)
+    sim = mrs.Simulation(mrs.Fluid(background=flow), [mrs.Tracers(np.ones((4, 3)))])
+    with pytest.raises(ValueError, match="velocity must give"):
+        sim.run(1.0)
+
+
+def test_positions_of_swimmers_in_toml():
+    swimmers = {"positions": [[0, 0, 0]], "orientations": [[0, 0, 1]], "length": 1, "force": 1}
+    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
+    (body,) = scene.simulation().bodies
+    np.testing.assert_array_equal(body.positions, [[0.0, 0.0, 0.0]])
+    del swimmers["positions"]
+    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
+    with pytest.raises(mrs.ScenarioError, match="a suspension, or positions and orientations"):
+        scene.simulation()

@@ -60,7 +60,8 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
     """
     path = Path(path)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
-    header, *rows = text[: text.rfind("\n") + 1].splitlines(keepends=True) or [""]
+    lines = text[: text.rfind("\n") + 1].splitlines(keepends=True)
+    header, *rows = [line for line in lines if line.strip()] or [""]
     at = next(csv.reader([header])).index(column) if header else 0
     times = [float(next(csv.reader([row]))[at]) for row in rows]
     left = [(t, row) for t, row in zip(times, rows, strict=True) if t <= time]
