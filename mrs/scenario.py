@@ -8,6 +8,7 @@ import importlib.util
 import inspect
 import pkgutil
 import sys
+import typing
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -169,7 +170,7 @@ def _explain(scenario: type[Scenario], item: Any) -> str:
 
 
 def _nearest(name: str, names: list[str]) -> str:
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
@@ -178,6 +179,14 @@ def _paths(model: Any) -> Iterator[tuple[str, ...]]:
     fields = getattr(model, "model_fields", None) or getattr(model, "__dataclass_fields__", {})
     for name, field in fields.items():
         yield (name,)
-        part = getattr(field, "annotation", None)
-        for path in _paths(part) if isinstance(part, type) else ():
-            yield (name, *path)
+        for part in _classes(getattr(field, "annotation", None)):
+            for path in _paths(part):
+                yield (name, *path)
+
+
+def _classes(annotation: Any) -> Iterator[type]:
+    """Yield the classes in an annotation such as ``list[A | B]``."""
+    if isinstance(annotation, type):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from _classes(part)

@@ -306,6 +306,15 @@ def test_what_users_functions_give_is_checked(values):
         sim.run(1.0)
 
 
+@pytest.mark.parametrize(
+    ("rods", "meant"),
+    [({"bendin": 1.0}, "rods.bending"), ({"shape": {"kind": "ring", "radios": 1}}, "radius")],
+)
+def test_nearest_option_within_a_body(rods, meant):
+    with pytest.raises(mrs.ScenarioError, match=f"did you mean '.*{meant}'"):
+        mrs.scenario.make("scene", {"rods": [rods]})
+
+
 def test_positions_of_swimmers_in_toml():
     swimmers = {"positions": [[0, 0, 0]], "orientations": [[0, 0, 1]], "length": 1, "force": 1}
     scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
