@@ -170,7 +170,7 @@ def rounding(kernel, sources, strengths, targets=None):
     inverse = distance2 ** np.longdouble(-0.5)
     power = max(channel.nu for channel in _CHANNELS[type(kernel).__name__]) - 1
     reach = 1 + np.where(np.isinf(distance2), 0, distance2)
-    largest = 1 + np.abs(np.asarray(strengths, EXTENDED)).sum(axis=1)
+    largest = 1 + np.abs(EXTENDED.convert(strengths)).sum(axis=1)
     losses = (1 + inverse**power) * reach * largest
     floor = np.longdouble(2.0**-1074) * losses.sum(axis=1)[:, None]
     return (32 + n) * (UNIT * majorant.sum(axis=1) + floor)
