@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from mrs.state import State
+
 
 class Body:
     """Material points in the fluid, some of which carry a triad.
@@ -38,21 +40,18 @@ class Body:
         """Return the blob size at each point, (p,); `default` is the fluid's."""
         raise NotImplementedError
 
-    def points(self, positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    def points(self, state: State) -> np.ndarray:
         """Return where forces act and velocities are wanted, (p, 3)."""
-        return positions
+        return state.positions
 
-    def loads(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray | None]:
+    def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the forces and torques on the fluid at the points, (p, 3) each."""
         raise NotImplementedError
 
     def rates(
         self,
         time: float,
-        positions: np.ndarray,
-        quaternions: np.ndarray,
+        state: State,
         velocity: np.ndarray,
         spin: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -66,7 +65,7 @@ class Body:
         """
         raise NotImplementedError
 
-    def energy(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> float:
+    def energy(self, time: float, state: State) -> float:
         """Return the elastic energy."""
         return 0.0
 
@@ -81,10 +80,10 @@ class Body:
         raise NotImplementedError
 
     def fields(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+        self, time: float, state: State, **at_points: Any
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return arrays at points and at cells for one frame.
 
-        `at_points` has force, torque, velocity and angular_velocity at the points, or None.
+        `at_points` has the velocity, and of force, torque and angular_velocity what the body has.
         """
         raise NotImplementedError

@@ -141,14 +141,21 @@ def array(centerline: Centerline, origins: Any) -> list[Centerline]:
 
 
 def grid(shape: Iterable[int], spacing: float) -> np.ndarray:
-    """Return points of a rectangular grid with z = 0, centred at the origin, (n, 3)."""
-    columns, rows = shape
-    check.integer("shape[0]", columns, 1)
-    check.integer("shape[1]", rows, 1)
+    """Return points of a grid centred at the origin, (n, 3).
+
+    Parameters
+    ----------
+    shape : (2,) or (3,) of int
+        Points along x, y and z; one along z by default.
+    spacing : float
+        Between neighbours.
+    """
+    numbers = [check.integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape)]
+    if len(numbers) not in (2, 3):
+        raise ValueError(f"shape must be two or three numbers, got {numbers}")
     check.positive("spacing", spacing)
-    x = spacing * (np.arange(columns) - 0.5 * (columns - 1))
-    y = spacing * (np.arange(rows) - 0.5 * (rows - 1))
-    return np.array([(a, b, 0.0) for a in x for b in y])
+    sides = [spacing * (np.arange(n) - 0.5 * (n - 1)) for n in (*numbers, 1)[:3]]
+    return np.stack(np.meshgrid(*sides, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:

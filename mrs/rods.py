@@ -11,6 +11,7 @@ import numpy as np
 from mrs import check, rotations
 from mrs.bodies import Body
 from mrs.geometry import Centerline
+from mrs.state import State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
 
@@ -188,9 +189,7 @@ class Rods(Body):
 
     def _measure(self) -> None:
         """Take rest lengths and arclengths from the shapes at time zero."""
-        between = rotations.relative(self.quaternions[self._left], self.quaternions[self._right])
-        middle = rotations.multiply(self.quaternions[self._left], rotations.halved(between))
-        steps = self.positions[self._right] - self.positions[self._left]
+        between, middle, steps = self._halfway(State(self.positions, self.quaternions))
         along = rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
         self.spacing = np.einsum("ni,ni->n", along, steps)
         if (self.spacing <= 0.0).any():
@@ -236,42 +235,42 @@ class Rods(Body):
             fixed if self._beat is None else fixed + check.vectors("beat", self._beat(s, t), len(s))
         )
 
-    def elasticity(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> Elasticity:
+    def elasticity(self, time: float, state: State) -> Elasticity:
         """Return strains halfway between the nodes."""
-        start = quaternions[self._left]
-        between = rotations.relative(start, quaternions[self._right])
-        middle = rotations.multiply(start, rotations.halved(between))
-        steps = positions[self._right] - positions[self._left]
+        between, middle, steps = self._halfway(state)
         spacing = self.spacing[:, None]
         strain = 2.0 * between[:, :3] / spacing
         shift = rotations.rotate(rotations.conjugate(middle), steps) / spacing
         shift[:, 2] -= 1.0
         return Elasticity(middle, steps, strain, strain - self.intrinsic_curvature(time), shift)
 
-    def loads(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _halfway(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rotations over the segments, triads in their middles, and steps along them."""
+        start = state.quaternions[self._left]
+        between = rotations.relative(start, state.quaternions[self._right])
+        middle = rotations.multiply(start, rotations.halved(between))
+        return between, middle, state.positions[self._right] - state.positions[self._left]
+
+    def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces and torques of the nodes on the fluid, (nodes, 3) each."""
-        force, torque = self._node_loads(time, positions, quaternions)
+        force, torque = self._node_loads(time, state)
         if self.base != "free":
             force[self.first] = 0.0
             torque[self.first] = 0.0
         return force, torque
 
-    def base_force(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    def base_force(self, time: float, state: State) -> np.ndarray:
         """Return the forces of the rods on whatever holds their first nodes, (rods, 3)."""
         if self.base == "free":
             return np.zeros((len(self.first), 3))
-        return self._node_loads(time, positions, quaternions)[0][self.first]
+        return self._node_loads(time, state)[0][self.first]
 
-    def _node_loads(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        state = self.elasticity(time, positions, quaternions)
-        internal_force = rotations.rotate(state.quaternions, self._stiffness * state.shift)
-        moment = rotations.rotate(state.quaternions, self._moduli * state.strain_excess)
-        couple = 0.5 * rotations.cross(state.steps, internal_force)
-        force, torque = np.zeros_like(positions), np.zeros_like(positions)
+    def _node_loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray]:
+        inside = self.elasticity(time, state)
+        internal_force = rotations.rotate(inside.quaternions, self._stiffness * inside.shift)
+        moment = rotations.rotate(inside.quaternions, self._moduli * inside.strain_excess)
+        couple = 0.5 * rotations.cross(inside.steps, internal_force)
+        force, torque = np.zeros_like(state.positions), np.zeros_like(state.positions)
         # A node is left end of one segment at most, and right end of one.
         force[self._left] += internal_force
         force[self._right] -= internal_force
@@ -279,22 +278,21 @@ class Rods(Body):
         torque[self._right] += couple - moment
         return force, torque
 
-    def energy(self, time: float, positions: np.ndarray, quaternions: np.ndarray) -> float:
+    def energy(self, time: float, state: State) -> float:
         """Return the elastic energy of all rods."""
-        bending, stretching = self._energies(self.elasticity(time, positions, quaternions))
+        bending, stretching = self._energies(self.elasticity(time, state))
         return float(bending.sum() + stretching.sum())
 
-    def _energies(self, state: Elasticity) -> tuple[np.ndarray, np.ndarray]:
+    def _energies(self, inside: Elasticity) -> tuple[np.ndarray, np.ndarray]:
         """Return the energies of strain and of shift of each segment."""
-        moments = np.einsum("ni,ni->n", self._moduli, state.strain_excess**2)
-        forces = np.einsum("ni,ni->n", self._stiffness, state.shift**2)
+        moments = np.einsum("ni,ni->n", self._moduli, inside.strain_excess**2)
+        forces = np.einsum("ni,ni->n", self._stiffness, inside.shift**2)
         return 0.5 * self.spacing * moments, 0.5 * self.spacing * forces
 
     def rates(
         self,
         time: float,
-        positions: np.ndarray,
-        quaternions: np.ndarray,
+        state: State,
         velocity: np.ndarray,
         spin: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -337,15 +335,15 @@ class Rods(Body):
         return at_points, {"rod_id": np.arange(len(self.first))}
 
     def fields(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+        self, time: float, state: State, **at_points: Any
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return triads, loads, motion, curvature and tension at nodes, energy at rods."""
-        state = self.elasticity(time, positions, quaternions)
-        triads = rotations.axes(quaternions)
+        inside = self.elasticity(time, state)
+        triads = rotations.axes(state.quaternions)
         fields = {f"d{i + 1}": triads[:, i] for i in range(3)} | at_points
-        fields["curvature"] = self._at_nodes(state.strain)
-        fields["tension"] = self._at_nodes(self._stiffness * state.shift)[:, 2]
-        bending, _ = self._energies(state)
+        fields["curvature"] = self._at_nodes(inside.strain)
+        fields["tension"] = self._at_nodes(self._stiffness * inside.shift)[:, 2]
+        bending, _ = self._energies(inside)
         return fields, {"bending_energy": np.bincount(self.rod_of_segment, bending)}
 
     def _at_nodes(self, values: np.ndarray) -> np.ndarray:

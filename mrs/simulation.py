@@ -65,8 +65,8 @@ class _Part(NamedTuple):
     quaternions: slice
     points: slice
 
-    def state(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        return state.positions[self.positions], state.quaternions[self.quaternions]
+    def state(self, state: State) -> State:
+        return State(state.positions[self.positions], state.quaternions[self.quaternions])
 
 
 class SimulationError(RuntimeError):
@@ -142,7 +142,7 @@ class Simulation:
         )
         if not len(self.state.positions):
             raise ValueError("bodies must have at least one point")
-        initial = [body.points(body.positions, body.quaternions) for body in self.bodies]
+        initial = [body.points(State(body.positions, body.quaternions)) for body in self.bodies]
         places = zip(
             self.bodies,
             _slices(len(body.positions) for body in self.bodies),
@@ -221,7 +221,7 @@ class Simulation:
         return self.evaluate(time, state).rates
 
     def _evaluate(self, time: float, state: State) -> Evaluation:
-        points = np.concatenate([part.body.points(*part.state(state)) for part in self._parts])
+        points = np.concatenate([part.body.points(part.state(state)) for part in self._parts])
         loads = self._loads(time, state, points)
         if not check.computable(points, loads):  # the stepper rejects the step, or stops
             lost = np.full_like(loads, np.nan)
@@ -238,7 +238,7 @@ class Simulation:
         loads = np.zeros((self._count, self._width))
         for part in self._parts:
             if part.body.has_force:
-                force, torque = part.body.loads(time, *part.state(state))
+                force, torque = part.body.loads(time, part.state(state))
                 loads[part.points, :3] = force
                 if torque is not None:
                     loads[part.points, 3:] = torque
@@ -252,7 +252,7 @@ class Simulation:
         for part in self._parts:
             own = motion[part.points]
             spin = own[:, 3:] if part.body.has_spin else None
-            velocity, turning = part.body.rates(time, *part.state(state), own[:, :3], spin)
+            velocity, turning = part.body.rates(time, part.state(state), own[:, :3], spin)
             velocities.append(velocity)
             spins.append(turning)
         return np.concatenate([*velocities, *spins])
@@ -262,9 +262,9 @@ class Simulation:
 
     def energy(self) -> float:
         """Return the elastic energy of all bodies."""
-        return sum(part.body.energy(self.time, *part.state(self.state)) for part in self._parts)
+        return sum(part.body.energy(self.time, part.state(self.state)) for part in self._parts)
 
-    def body_state(self, body: Body) -> tuple[np.ndarray, np.ndarray]:
+    def body_state(self, body: Body) -> State:
         """Return the positions and quaternions of one body."""
         return self._part(body).state(self.state)
 
@@ -283,7 +283,7 @@ class Simulation:
             at_points["torque"] = now.loads[part.points, 3:]
         if body.has_spin:
             at_points["angular_velocity"] = now.motion[part.points, 3:]
-        fields = body.fields(self.time, *part.state(self.state), **at_points)
+        fields = body.fields(self.time, part.state(self.state), **at_points)
         return now.points[part.points], *fields
 
     def velocity(
@@ -350,15 +350,16 @@ class Simulation:
         SimulationError
             If the state would not be finite; it is left as it was.
         """
-        if self.stepper.steps % _CORRECT_EVERY == 0:
-            self._correct()
         before = self.stepper.history()
         try:
+            if self.stepper.steps % _CORRECT_EVERY == 0:
+                self._correct()
             with np.errstate(over="ignore", invalid="ignore"):
                 time, state = self.stepper.step(self, self.time, self.state, stop)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
+            told = self._explained(error)
             self.stepper.restore(*before)
-            raise self._explained(error) from None
+            raise told from None
         self.time, self.state = time, state
 
     def _explained(self, error: BaseException) -> BaseException:

@@ -13,8 +13,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from mrs import check, rotations
+from mrs import check, geometry, rotations
 from mrs.bodies import Body
+from mrs.state import State
 
 _AXIS = np.array([[0.0, 0.0, 1.0]])
 
@@ -90,29 +91,26 @@ class Swimmers(Body):
         """Return the directions p, (n, 3)."""
         return rotations.rotate(quaternions, _AXIS)
 
-    def points(self, positions: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
+    def points(self, state: State) -> np.ndarray:
         """Return bodies, then flagella, (2 n, 3)."""
-        arm = self.sign * self.length * self.orientations(quaternions)
-        return np.concatenate([positions, positions - arm])
+        arm = self.sign * self.length * self.orientations(state.quaternions)
+        return np.concatenate([state.positions, state.positions - arm])
 
-    def loads(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray
-    ) -> tuple[np.ndarray, None]:
+    def loads(self, time: float, state: State) -> tuple[np.ndarray, None]:
         """Return the pairs of opposite forces, (2 n, 3), and no torques."""
-        thrust = self.force * self.orientations(quaternions)
+        thrust = self.force * self.orientations(state.quaternions)
         return np.concatenate([thrust, -thrust]), None
 
     def rates(
         self,
         time: float,
-        positions: np.ndarray,
-        quaternions: np.ndarray,
+        state: State,
         velocity: np.ndarray,
         spin: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the bodies' velocities, and the angular velocities p x (u_B - u_F) / (sigma l)."""
         body, flagellum = np.split(velocity, 2)
-        arm = self.sign * self.orientations(quaternions)
+        arm = self.sign * self.orientations(state.quaternions)
         return body, rotations.cross(arm, (body - flagellum) / self.length)
 
     def epsilons(self, default: float) -> np.ndarray:
@@ -143,10 +141,10 @@ class Swimmers(Body):
         return at_points, {"swimmer_id": np.concatenate([numbers, np.arange(count)])}
 
     def fields(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+        self, time: float, state: State, **at_points: Any
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return orientation, velocity and force at points."""
-        fields = {"orientation": np.tile(self.orientations(quaternions), (2, 1))}
+        fields = {"orientation": np.tile(self.orientations(state.quaternions), (2, 1))}
         return fields | {k: at_points[k] for k in ("velocity", "force")}, {}
 
 
@@ -196,9 +194,7 @@ def random_suspension(
         if not missing:
             return positions, along
         positions = np.concatenate([positions, (rng.random((missing, 3)) - 0.5) * edges])
-        along = np.concatenate(
-            [along, Rotation.random(missing, rng).apply(_AXIS[0]).reshape(-1, 3)]
-        )
+        along = np.concatenate([along, _random_directions(missing, rng)])
         keep = _apart(positions, positions - reach * along, spacing)
         positions, along = positions[keep], along[keep]
     raise ValueError(
@@ -217,6 +213,11 @@ def _apart(bodies: np.ndarray, flagella: np.ndarray, spacing: float) -> np.ndarr
     return keep
 
 
+def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Return unit vectors, uniform over the sphere, (count, 3)."""
+    return Rotation.random(count, rng).apply(_AXIS[0]).reshape(-1, 3)
+
+
 def lattice_suspension(
     shape: Any, spacing: float, *, direction: Any = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -233,11 +234,8 @@ def lattice_suspension(
     seed : int, optional
         Of random directions.
     """
-    numbers = [check.integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape)]
-    check.positive("spacing", spacing)
-    axes = [spacing * (np.arange(n) - 0.5 * (n - 1)) for n in numbers]
-    positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = geometry.grid(shape, spacing)
     if direction is None:
         rng = np.random.default_rng(seed)
-        return positions, Rotation.random(len(positions), rng).apply(_AXIS[0]).reshape(-1, 3)
+        return positions, _random_directions(len(positions), rng)
     return positions, np.tile(check.direction("direction", direction), (len(positions), 1))

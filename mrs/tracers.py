@@ -8,6 +8,7 @@ import numpy as np
 
 from mrs import check
 from mrs.bodies import Body
+from mrs.state import State
 
 
 class Tracers(Body):
@@ -34,8 +35,7 @@ class Tracers(Body):
     def rates(
         self,
         time: float,
-        positions: np.ndarray,
-        quaternions: np.ndarray,
+        state: State,
         velocity: np.ndarray,
         spin: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -53,7 +53,7 @@ class Tracers(Body):
         return {"tracer_id": np.arange(len(self.positions))}, {}
 
     def fields(
-        self, time: float, positions: np.ndarray, quaternions: np.ndarray, **at_points: Any
+        self, time: float, state: State, **at_points: Any
     ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return velocity."""
         return {"velocity": at_points["velocity"]}, {}

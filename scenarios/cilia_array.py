@@ -67,8 +67,8 @@ class CiliaArray(mrs.Scenario):
         """Return the sum of all forces and those on the bases: cilia push only against these."""
         (cilia,) = sim.bodies
         assert isinstance(cilia, mrs.Rods)
-        positions, quaternions = sim.body_state(cilia)
-        force, _ = cilia.loads(sim.time, positions, quaternions)
-        pull = cilia.base_force(sim.time, positions, quaternions)
+        state = sim.body_state(cilia)
+        force, _ = cilia.loads(sim.time, state)
+        pull = cilia.base_force(sim.time, state)
         total = np.linalg.norm(force.sum(axis=0) + pull.sum(axis=0)) / np.abs(force).sum()
         return mrs.Check("net force without the bases", float(total), 0.0, 1e-12)

@@ -50,7 +50,7 @@ class SwimmerSuspension(mrs.Scenario):
         alone = (
             self.force / (4.0 * np.pi) * (1.0 / self.epsilon - 1.0 / np.sqrt(1.0 + self.epsilon**2))
         )
-        _, quaternions = sim.body_state(swimmers)
         velocity = sim.rates(sim.time, sim.state)[: self.count]
-        mean = float(np.einsum("ni,ni->n", velocity, swimmers.orientations(quaternions)).mean())
+        along = swimmers.orientations(sim.state.quaternions)
+        mean = float(np.einsum("ni,ni->n", velocity, along).mean())
         return mrs.Check("mean speed", mean, float(alone), 0.1)

@@ -70,7 +70,7 @@ class Case:
 
 
 def assert_loads(case, omegas, time=0.0):
-    loads = case.rods.loads(time, case.X, case.q)
+    loads = case.rods.loads(time, State(case.X, case.q))
     for mine, theirs in zip(loads, case.loads(omegas), strict=True):
         # scipy's matrix root is good to some 1e-14 of the rotation.
         np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-13 * abs(theirs).max())
@@ -84,7 +84,7 @@ def test_loads(seed):
     omegas = np.split(omega, [6, 15])
     assert_loads(case, omegas)
     energy = sum(oracle.rod_energy(*rod) for rod in case.each(omegas))
-    assert case.rods.energy(0.0, case.X, case.q) == pytest.approx(energy, rel=1e-13)
+    assert case.rods.energy(0.0, State(case.X, case.q)) == pytest.approx(energy, rel=1e-13)
 
 
 def test_loads_with_a_beat():
@@ -121,7 +121,7 @@ def assert_balanced(X, f, n):
 def test_no_net_force_or_torque(seed):
     """Of each rod by itself, exactly: whatever its state and its intrinsic strain."""
     case = Case(seed, intrinsic_curvature=np.random.default_rng(seed).normal(size=(19, 3)))
-    f, n = case.rods.loads(0.0, case.X, case.q)
+    f, n = case.rods.loads(0.0, State(case.X, case.q))
     for i, k in itertools.pairwise(case.ends):
         assert_balanced(case.X[i:k], f[i:k], n[i:k])
 
@@ -140,7 +140,7 @@ def test_rest(strain):
             stretching=6,
             intrinsic_curvature=intrinsic,
         )
-        f, n = rod.loads(0.0, rod.positions, rod.quaternions)
+        f, n = rod.loads(0.0, State(rod.positions, rod.quaternions))
         # Coordinates up to 7 are rounded, and divided by ds; so are triads.
         assert np.abs(f).max() <= 16 * UNIT * 6 * 7 / ds
         assert np.abs(n).max() <= 16 * UNIT * (3 / ds + 6 * 7)
@@ -232,11 +232,11 @@ def test_loads_converge():
     errors = []
     for nodes in NODES:
         (rod, state), ds = ring_of(nodes, A, B), 2 * np.pi / nodes
-        f, n = rod.loads(0.0, *state)
+        f, n = rod.loads(0.0, state)
         pick = slice(None, None, FINE // nodes)
         error_f = np.abs(f / ds - exact_f[pick]).max()
         error_n = np.abs(n / ds - exact_n[pick]).max()
-        errors.append([error_f, error_n, abs(rod.energy(0.0, *state) - total)])
+        errors.append([error_f, error_n, abs(rod.energy(0.0, state) - total)])
     # Higher terms are some per cent at 64 nodes.
     np.testing.assert_allclose(oracle.orders(errors)[1:], 2.0, atol=0.1)
 

@@ -383,7 +383,7 @@ def test_base_bears_what_the_fluid_does_not():
     now = sim.evaluate(sim.time, sim.state)
     np.testing.assert_array_equal(now.loads[[0, 6]], 0.0)
     on_fluid = now.loads[:, :3].reshape(2, 6, 3).sum(axis=1)
-    on_holder = rod.base_force(sim.time, *sim.state)
+    on_holder = rod.base_force(sim.time, sim.state)
     assert np.abs(on_holder).max() > 1e-4
     np.testing.assert_allclose(on_fluid + on_holder, 0.0, atol=1e-16)
 

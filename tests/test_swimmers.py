@@ -265,3 +265,13 @@ def test_lattice():
     apart = np.linalg.norm(x[:, None] - x[None], axis=-1) + 9.0 * np.eye(24)
     np.testing.assert_allclose(apart.min(axis=1), 0.7, rtol=1e-14)
     np.testing.assert_allclose(p, [[0.0, 0.6, 0.8]] * 24, atol=1e-15)
+
+
+def test_grid():
+    """In the plane z = 0 if nothing is said of z."""
+    expected = [[-0.25, -0.5, 0.0], [-0.25, 0.0, 0.0], [-0.25, 0.5, 0.0]]
+    x = mrs.geometry.grid((2, 3), 0.5)
+    np.testing.assert_array_equal(x[:3], expected)
+    np.testing.assert_array_equal(x, mrs.geometry.grid((2, 3, 1), 0.5))
+    with pytest.raises(ValueError, match="shape must be two or three numbers"):
+        mrs.geometry.grid((4,), 0.5)
