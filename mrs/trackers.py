@@ -72,6 +72,8 @@ class Tracker:
 class _Frames(Tracker):
     """Writes at multiples of the interval, the start included, each once also over resumes."""
 
+    interval: float
+
     def __init__(self, output: Output) -> None:
         self.directory = Path(output.directory)
         self.interval = check.positive("interval", output.interval)
@@ -164,7 +166,6 @@ class Log(_Frames):
 
     def initialize(self, sim: Simulation) -> None:
         self._start = clock.monotonic()
-        self._rows = 0
         super().initialize(sim)
 
     def create(self, sim: Simulation) -> None:
@@ -175,8 +176,7 @@ class Log(_Frames):
 
     def write(self, sim: Simulation) -> None:
         now = sim.evaluate(sim.time, sim.state)
-        sampled = self._rows % self._SAMPLE_EVERY == 0
-        self._rows += 1
+        sampled = round(sim.time / self.interval) % self._SAMPLE_EVERY == 0
         row = {
             "step": sim.stepper.steps,
             "t": sim.time,

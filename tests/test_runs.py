@@ -1,5 +1,6 @@
 """Runs in directories: killed and resumed, stopped, refused; what the command line says."""
 
+import csv
 import json
 import os
 import random
@@ -41,8 +42,15 @@ def trajectories(directory):
     return found
 
 
+def logged(directory):
+    """Return the log, without what is counted anew in each process."""
+    with (directory / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return [{k: v for k, v in row.items() if k not in ("wall", "evaluations")} for row in rows]
+
+
 def assert_equal_runs(one, other):
-    """Compare checkpoints and trajectories bit by bit."""
+    """Compare checkpoints, trajectories and logs bit by bit."""
     (arrays, values), (arrays2, values2) = map(state_of, (one, other))
     assert values["time"] == values2["time"]
     assert values["integrator"] == values2["integrator"]
@@ -50,6 +58,7 @@ def assert_equal_runs(one, other):
     for name, array in arrays.items():
         np.testing.assert_array_equal(array, arrays2[name], err_msg=name)
     np.testing.assert_equal(trajectories(one), trajectories(other))
+    assert logged(one) == logged(other)
 
 
 def begin(*arguments):
