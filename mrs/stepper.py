@@ -126,10 +126,10 @@ class Stepper:
             return values
 
         interval = stop - time
-        if self.steps >= self._renew_at:
-            self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
         retried = False
         while True:
+            if retried or self.steps >= self._renew_at:
+                self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
             lost.clear()
@@ -141,7 +141,6 @@ class Stepper:
                 break
             self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
             retried = True
-            self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
         self.steps += 1
         if self.adaptive:
             # One shortened to end on time says nothing against the longer one that was wanted.
@@ -163,7 +162,8 @@ class Stepper:
             first = 0.1 * math.sqrt(self.tolerance)
             self.h = min(interval, _time_to_move(first, rates / scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
-        wanted = max(wanted, 0.01 * _SMALLEST * interval)
+        if self.fixed is None:  # not zero, however fast the motion
+            wanted = max(wanted, 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - 1e-12)))
 
     def _warn(self, limit: float) -> None:

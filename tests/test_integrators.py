@@ -340,6 +340,12 @@ def test_rejected_steps_are_tried_again_smaller():
     assert state.positions[0, 2] == pytest.approx(np.sin(100.0) - np.sin(50.0), abs=1e-2)
 
 
+def test_fixed_step_is_taken_however_short():
+    stepper = Stepper(mrs.Integrator("euler", 1e-14))
+    time, _ = stepper.step(Coupled(), 0.0, Coupled.start(), 1.0)
+    assert time == pytest.approx(1e-14, rel=1e-12)
+
+
 def test_nothing_is_kept_of_a_rejected_step():
     """A run whose steps are those that were accepted arrives at the same place."""
     stepper = Stepper(mrs.Integrator("bs32", tolerance=1e-3))
