@@ -139,7 +139,7 @@ class Mobility:
     def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return the velocity, (M, 3), at any targets, (M, 3)."""
         values = np.zeros_like(targets)
-        groups = {tuple(term.sources[:1]): term for term in self._sums}
+        groups = {term.sources[0]: term for term in self._sums}
         for term in groups.values():
             plan = (term.backend or Backend("direct")).plan(term.kernel)
             out = plan.set_points(points[term.sources], targets).execute(term.strengths(loads))

@@ -352,7 +352,8 @@ class Simulation:
         """
         before = self.stepper.history()
         try:
-            if self.stepper.steps % _CORRECT_EVERY == 0:
+            steps = self.stepper.steps
+            if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
                 self._correct()
             with np.errstate(over="ignore", invalid="ignore"):
                 time, state = self.stepper.step(self, self.time, self.state, stop)
