@@ -16,6 +16,8 @@ from typing import Any
 import tomli_w
 from filelock import FileLock, Timeout
 
+from mrs.output.atomic import replacing
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
@@ -34,7 +36,7 @@ def require_free(directory: str | Path, *, overwrite: bool) -> None:
     """
     directory = Path(directory)
     present = sorted(path.name for path in directory.iterdir()) if directory.is_dir() else []
-    if present and not _is_run(directory):
+    if present and not _content(directory):
         raise FileExistsError(
             f"{directory} holds {present[0]!r} and no run; choose an empty directory"
         )
@@ -81,9 +83,10 @@ def read(directory: str | Path) -> dict[str, Any]:
     FileNotFoundError
         If the directory holds no run.
     """
-    if not _is_run(Path(directory)):
+    content = _content(Path(directory))
+    if not content:
         raise FileNotFoundError(f"{directory} holds no run: no {CONFIG} with [run] and [versions]")
-    return load_toml(Path(directory) / CONFIG)
+    return content
 
 
 def extend(directory: str | Path, t_end: float) -> None:
@@ -102,17 +105,16 @@ def load_toml(path: str | Path) -> dict[str, Any]:
         raise ValueError(f"{path}: {error}") from None
 
 
-def _is_run(directory: Path) -> bool:
-    if not (directory / CONFIG).is_file():
-        return False
-    content = load_toml(directory / CONFIG)
-    return "t_end" in content.get("run", {}) and "versions" in content
+def _content(directory: Path) -> dict[str, Any]:
+    """Return config.toml; nothing if there is none, or not that of a run."""
+    path = directory / CONFIG
+    content = load_toml(path) if path.is_file() else {}
+    return content if "t_end" in content.get("run", {}) and "versions" in content else {}
 
 
 def _write(directory: Path, content: dict[str, Any]) -> None:
-    temporary = directory / f".{CONFIG}"
-    temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
-    temporary.replace(directory / CONFIG)
+    with replacing(directory / CONFIG) as temporary:
+        temporary.write_text(tomli_w.dumps(content), encoding="utf-8")
 
 
 @cache

@@ -41,7 +41,7 @@ ALLOWED = {
     "mrs.rods": {"mrs.bodies", "mrs.check", "mrs.geometry", "mrs.rotations", "mrs.state"},
     "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
     "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
-    "mrs.rundir": set(),
+    "mrs.rundir": {"mrs.output.atomic"},
     "mrs.trackers": {"mrs.check", "mrs.output", "mrs.rundir", "mrs.simulation"},  # its type
     "mrs.simulation": {
         "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.rundir", "mrs.state",

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 
 
 def save(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 
 if TYPE_CHECKING:
     import pyvista as pv

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 from mrs.output.vtkhdf import Topology
 from mrs.output.vtp import polydata, read_pvd, write_pvd
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 
 
 def append(path: str | os.PathLike[str], row: Mapping[str, Any]) -> None:

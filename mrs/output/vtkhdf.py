@@ -18,7 +18,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 
 _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 _DATA = ("PointData", "CellData", "FieldData")

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output._atomic import replacing
+from mrs.output.atomic import replacing
 from mrs.output.vtkhdf import Topology
 
 if TYPE_CHECKING:
