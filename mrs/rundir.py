@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import platform
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -24,7 +23,7 @@ else:
     import tomli as tomllib
 
 CONFIG = "config.toml"
-_WRITTEN = (CONFIG, "checkpoint*.h5", "log.csv", "*.vtkhdf", "*.pvd")
+_WRITTEN = ("checkpoint*.h5", "log.csv", "*.vtkhdf")
 
 
 def require_free(directory: str | Path, *, overwrite: bool) -> None:
@@ -67,11 +66,11 @@ def held(directory: str | Path) -> Iterator[None]:
 def begin(directory: str | Path, recipe: dict[str, Any] | None, t_end: float) -> None:
     """Delete the files of an earlier run, no others, and write config.toml."""
     directory = Path(directory)
+    for trajectory in directory.glob("*.vtkhdf"):
+        _delete_live(trajectory.with_suffix(".pvd"))
     for pattern in _WRITTEN:
         for path in directory.glob(pattern):
             path.unlink()
-            if path.suffix == ".pvd":
-                shutil.rmtree(path.with_suffix(""), ignore_errors=True)
     _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
 
 
@@ -103,6 +102,16 @@ def load_toml(path: str | Path) -> dict[str, Any]:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except ValueError as error:  # not TOML, or not UTF-8
         raise ValueError(f"{path}: {error}") from None
+
+
+def _delete_live(path: Path) -> None:
+    """Delete the list of a body's .vtp files, and these."""
+    if path.exists():
+        for frame in path.with_suffix("").glob("[0-9]*.vtp"):
+            frame.unlink()
+        path.unlink()
+        with suppress(OSError):  # something else is in it
+            path.with_suffix("").rmdir()
 
 
 def _content(directory: Path) -> dict[str, Any]:

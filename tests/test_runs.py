@@ -273,6 +273,22 @@ def test_overwriting_spares_what_is_not_the_runs(tmp_path, capsys):
     assert (other / "config.toml").read_text() == 'theme = "dark"'
 
 
+def test_overwriting_spares_lists_that_are_not_the_runs(tmp_path):
+    """Of .pvd and .vtp files those of the run's own bodies go, and no others."""
+    run = tmp_path / "run"
+    assert cli.main([*swim(run, 0.05), "--set", "live=true"]) == 0
+    own = [run / "flagellum.pvd", run / "flagellum" / "000001.vtp"]
+    assert all(path.exists() for path in own)
+    foreign = [run / "mine.pvd", run / "mine" / "000000.vtp"]
+    foreign[1].parent.mkdir()
+    for path in foreign:
+        path.write_text("mine")
+    assert cli.main([*swim(run, 0.05), "--overwrite"]) == 0
+    assert not (run / "flagellum").exists()
+    assert not own[0].exists()
+    assert [path.read_text() for path in foreign] == ["mine", "mine"]
+
+
 def test_one_run_at_a_time_in_a_directory(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
