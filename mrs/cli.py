@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from mrs import runs, scenario
-from mrs.rundir import CONFIG, tomllib
+from mrs.rundir import tomllib
 from mrs.scenario import ScenarioError
-from mrs.simulation import Simulation, SimulationError
+from mrs.simulation import Simulation
 from mrs.trackers import Progress
 
 _EPILOG = """\
@@ -36,7 +36,7 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped; go on with `mrs resume`", file=sys.stderr)
         return 130
-    except (ScenarioError, SimulationError, ValueError, TypeError, IndexError, OSError) as error:
+    except (ArithmeticError, IndexError, OSError, RuntimeError, TypeError, ValueError) as error:
         if _in_users_file(error):
             raise
         print(f"mrs: {error}", file=sys.stderr)
@@ -46,7 +46,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _in_users_file(error: Exception) -> bool:
     """Return whether the error came out of a scenario in a file of the user's: show where."""
     frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
-    return any(frame.f_globals["__name__"].startswith(scenario.FILE_PREFIX) for frame in frames)
+    modules = (frame.f_globals.get("__name__", "") for frame in frames)
+    return any(module.startswith(scenario.FILE_PREFIX) for module in modules)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -138,7 +139,7 @@ def _resume(options: argparse.Namespace) -> None:
     sim = runs.resume(
         options.directory, options.t_end, [Progress()], max_walltime=options.max_walltime
     )
-    _report(sim, scenario.make(*runs.read_input(options.directory / CONFIG)), options.directory)
+    _report(sim, runs.scenario_of(options.directory), options.directory)
 
 
 def _info(options: argparse.Namespace) -> None:

@@ -39,6 +39,22 @@ def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
     return scenario, options
 
 
+def scenario_of(directory: str | Path) -> Scenario:
+    """Return the scenario of a run.
+
+    Raises
+    ------
+    ScenarioError
+        If the run was made by a script.
+    """
+    if "scenario" not in rundir.read(directory):
+        raise ScenarioError(
+            f"{directory}: made by a script; build the same simulation there, and go on with "
+            "mrs.restart(sim).run(t_end)"
+        )
+    return make(*read_input(Path(directory) / rundir.CONFIG))
+
+
 def resume(
     directory: str | Path,
     t_end: float | None = None,
@@ -70,7 +86,7 @@ def resume(
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
     """
-    sim = restart(_scenario(directory).simulation(directory))
+    sim = restart(scenario_of(directory).simulation(directory))
     sim.trackers.extend(trackers)
     noted = rundir.read(directory)["run"]["t_end"]
     return sim.run(noted if t_end is None else t_end, **options)
@@ -115,23 +131,25 @@ def frame_velocity(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, 
     frame : int, optional
         Its number; the last by default.
 
+    Raises
+    ------
+    IndexError
+        If there is no such frame.
+
     Notes
     -----
     Points and forces are those of the frame, in single precision.
     """
-    scenario = _scenario(directory)
+    scenario = scenario_of(directory)
     sim = scenario.simulation()
     _, values = checkpoint.load(Path(directory) / "checkpoint.h5")
     sim.mobility.restore(values["backends"])
     points, loads = [], []
     for body in sim.bodies:
         with vtkhdf.Trajectory(Path(directory) / f"{body.name}.vtkhdf") as trajectory:
-            if not -len(trajectory) <= frame < len(trajectory):
-                raise ValueError(f"frame must be one of {len(trajectory)}, got {frame}")
-            number = range(len(trajectory))[frame]
-            time = trajectory.times[number]
-            points.append(trajectory.points(number))
-            arrays = trajectory.point_data(number)
+            points.append(trajectory.points(frame))
+            arrays = trajectory.point_data(frame)
+            time = trajectory.times[frame]
         none = np.zeros_like(points[-1])
         loads.append(np.hstack([arrays.get("force", none), arrays.get("torque", none)]))
     sources, strengths = np.concatenate(points).astype(float), np.concatenate(loads).astype(float)
@@ -167,13 +185,3 @@ def write_field(directory: str | Path, frame: int = -1, resolution: int = 40) ->
     seeds = field.grid_around(points, resolution=max(2, resolution // 5), padding=0.0).points
     field.streamlines(paths[1], grid, values, seeds)
     return paths
-
-
-def _scenario(directory: str | Path) -> Scenario:
-    """Return the scenario of a run."""
-    if "scenario" not in rundir.read(directory):
-        raise ScenarioError(
-            f"{directory}: made by a script; build the same simulation there, and go on with "
-            "mrs.restart(sim).run(t_end)"
-        )
-    return make(*read_input(Path(directory) / rundir.CONFIG))

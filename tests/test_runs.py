@@ -191,6 +191,24 @@ def test_info_for_programs(tmp_path, capsys):
     assert found["options"]["nodes"] == 41
 
 
+def test_a_frame_that_is_not_there(tmp_path, capsys):
+    run = tmp_path / "run"
+    assert cli.main(swim(run, 0.05)) == 0
+    assert cli.main(["field", str(run), "--frame", "2"]) == 1
+    assert "flagellum.vtkhdf has 2 frames, none number 2" in capsys.readouterr().err
+    assert cli.main(["field", str(run), "--frame", "-2", "--resolution", "3"]) == 0
+
+
+@pytest.mark.parametrize("error", [RuntimeError, FloatingPointError, OverflowError])
+def test_errors_are_said_without_a_traceback(error, capsys, monkeypatch):
+    def failed(directory):
+        raise error("no OpenGL")
+
+    monkeypatch.setattr(mrs.runs, "info", failed)
+    assert cli.main(["info", "run"]) == 1
+    assert capsys.readouterr().err == "mrs: no OpenGL\n"
+
+
 def test_a_scenario_of_ones_own(tmp_path):
     """A copy of a scenario in a file is run, and resumed, by its path."""
     source = Path(mrs.scenario.find("helical_swimmer").__module__.replace(".", os.sep) + ".py")
