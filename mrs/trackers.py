@@ -6,7 +6,7 @@ import math
 import time as clock
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -15,6 +15,7 @@ from mrs import check, rundir
 from mrs.output import checkpoint, live, log, paraview, vtkhdf
 
 if TYPE_CHECKING:
+    from mrs.bodies import Body
     from mrs.simulation import Simulation
 
 
@@ -100,8 +101,30 @@ class _Frames(Tracker):
         raise NotImplementedError
 
 
-class Trajectories(_Frames):
+class _BodyFiles(_Frames):
+    """A file for each body; `cut_file` drops its frames after a time, and returns the last's."""
+
+    suffix: str
+    cut_file: Callable[[Path, float], float | None]
+
+    def cut(self, sim: Simulation) -> float | None:
+        """Cut all to the last frame that each of them has: a run may stop between two bodies."""
+        paths = [self._path(body) for body in sim.bodies]
+        left = [self.cut_file(path, sim.time) for path in paths]
+        last = min(-math.inf if time is None else time for time in left)
+        for path in paths:
+            self.cut_file(path, last)
+        return last
+
+    def _path(self, body: Body) -> Path:
+        return self.directory / f"{body.name}{self.suffix}"
+
+
+class Trajectories(_BodyFiles):
     """One transient VTKHDF file a body."""
+
+    suffix = ".vtkhdf"
+    cut_file = staticmethod(vtkhdf.cut)
 
     def create(self, sim: Simulation) -> None:
         for body in sim.bodies:
@@ -114,9 +137,6 @@ class Trajectories(_Frames):
             )
         paraview.write_macro(self.directory)
 
-    def cut(self, sim: Simulation) -> float | None:
-        return _cut_alike(vtkhdf.cut, [self._path(body) for body in sim.bodies], sim.time)
-
     def write(self, sim: Simulation) -> None:
         for body in sim.bodies:
             vtkhdf.append(self._path(body), sim.time, *sim.frame(body))
@@ -126,18 +146,15 @@ class Trajectories(_Frames):
             if self._path(body).exists():
                 vtkhdf.trim(self._path(body))
 
-    def _path(self, body: Any) -> Path:
-        return self.directory / f"{body.name}.vtkhdf"
 
-
-class Live(_Frames):
+class Live(_BodyFiles):
     """One .vtp a body and frame, and a .pvd for each body."""
+
+    suffix = ".pvd"
+    cut_file = staticmethod(live.cut)
 
     def create(self, sim: Simulation) -> None:
         """Nothing: the first frame makes the folder."""
-
-    def cut(self, sim: Simulation) -> float | None:
-        return _cut_alike(live.cut, [self._path(body) for body in sim.bodies], sim.time)
 
     def write(self, sim: Simulation) -> None:
         for body in sim.bodies:
@@ -150,9 +167,6 @@ class Live(_Frames):
                 at_points,
                 at_cells,
             )
-
-    def _path(self, body: Any) -> Path:
-        return self.directory / f"{body.name}.pvd"
 
 
 class Log(_Frames):
@@ -249,15 +263,3 @@ def standard_trackers(output: Output | None) -> list[Tracker]:
         return []
     frames: list[Tracker] = [Trajectories(output), Log(output)]
     return [Checkpoints(output), *frames, *([Live(output)] if output.live else [])]
-
-
-def _cut_alike(cut: Callable, paths: list[Path], time: float) -> float:
-    """Cut all files to the last frame, not after `time`, that each of them has; return its time.
-
-    A run may have been stopped between the files of two bodies.
-    """
-    left = [cut(path, time) for path in paths]
-    last = min(-math.inf if t is None else t for t in left)
-    for path in paths:
-        cut(path, last)
-    return last

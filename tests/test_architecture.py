@@ -42,7 +42,10 @@ ALLOWED = {
     "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
     "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
     "mrs.rundir": {"mrs.output.atomic"},
-    "mrs.trackers": {"mrs.check", "mrs.output", "mrs.rundir", "mrs.simulation"},  # its type
+    "mrs.trackers": {
+        "mrs.check", "mrs.output", "mrs.rundir",
+        "mrs.bodies", "mrs.simulation",  # their types
+    },
     "mrs.simulation": {
         "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.rundir", "mrs.state",
         "mrs.stepper", "mrs.steric", "mrs.trackers",
