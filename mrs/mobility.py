@@ -12,10 +12,11 @@ import numpy as np
 import treecode as tc
 from mrs import check
 
-BACKENDS = ("auto", "direct", "kitc", "taylor")
+BACKENDS = ("auto", "direct", "kitc", "taylor", "fmm")
 _SMALL = 2000  # sources, up to which a tree never pays
 _SAMPLES = 1000  # targets at which "auto" measures errors
 _MAX_DEGREE = 12  # that "auto" tries
+_MANY = 8000  # sources, from which "auto" tries the fast multipole method
 
 
 @dataclass(frozen=True)
@@ -24,13 +25,13 @@ class Backend:
 
     Parameters
     ----------
-    name : {"auto", "direct", "kitc", "taylor"}
+    name : {"auto", "direct", "kitc", "taylor", "fmm"}
         "auto" measures at the first sum of a simulation: the fastest of those that reach
         `tolerance` is kept, and made more accurate when a later sample asks for it.
     theta, degree, leaf_size : optional
-        As in `treecode.Plan`. "auto" chooses `degree` itself.
+        Of treecodes, as in `treecode.Plan`. "auto" chooses `degree` itself.
     tolerance : float, optional
-        Largest relative error (K eq. 8.1) of "auto".
+        Relative error (K eq. 8.1): the largest of "auto", the aim of "fmm".
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -44,10 +45,12 @@ class Backend:
     def __str__(self) -> str:
         if self.name in ("auto", "direct"):
             return self.name
-        return f"{self.name}({self.degree})"
+        return f"{self.name}({self.tolerance if self.name == 'fmm' else self.degree:g})"
 
     def plan(self, kernel: tc.Kernel) -> tc.Plan:
         """Return an empty plan."""
+        if self.name == "fmm":
+            return tc.Plan(kernel, "fmm", tol=self.tolerance)
         return tc.Plan(
             kernel, self.name, theta=self.theta, degree=self.degree, leaf_size=self.leaf_size
         )
@@ -197,12 +200,23 @@ class Mobility:
         trial = _Trial(term, points, loads)
         seconds = {direct: trial.seconds(direct)}
         for name in ("kitc", "taylor"):
-            for degree in range(2, _MAX_DEGREE + 1):
-                backend = replace(self.backend, name=name, degree=degree)
-                if trial.error(backend) <= self.backend.tolerance:
-                    seconds[backend] = trial.seconds(backend)
-                    break
+            degrees = range(2, _MAX_DEGREE + 1)
+            tries = [replace(self.backend, name=name, degree=degree) for degree in degrees]
+            self._time_first(trial, tries, seconds)
+        if len(term.sources) >= _MANY:
+            sharper = [self.backend.tolerance / factor for factor in (1.0, 4.0, 16.0)]
+            tries = [replace(self.backend, name="fmm", tolerance=tol) for tol in sharper]
+            self._time_first(trial, tries, seconds)
         return min(seconds, key=lambda backend: seconds[backend])
+
+    def _time_first(
+        self, trial: _Trial, tries: list[Backend], seconds: dict[Backend, float]
+    ) -> None:
+        """Time the first of some backends that reaches the tolerance."""
+        for backend in tries:
+            if trial.error(backend) <= self.backend.tolerance:
+                seconds[backend] = trial.seconds(backend)
+                return
 
 
 class _Trial:
@@ -244,6 +258,8 @@ class _Trial:
 
 def _sharper(backend: Backend) -> Backend:
     """Return the next more accurate backend."""
+    if backend.name == "fmm":
+        return replace(backend, tolerance=0.25 * backend.tolerance)
     if backend.degree >= _MAX_DEGREE:
         return replace(backend, name="direct")
     return replace(backend, degree=backend.degree + 1)

@@ -67,7 +67,7 @@ def test_pair_counts_are_those_of_the_papers_recursion():
     points = clustered(600)
     plan = tc.Plan(KERNEL, "kitc", theta=0.6, degree=1, leaf_size=20).set_points(points)
     plan.execute(np.ones((600, 3)))
-    tree, targets = plan._tree, plan._targets.T
+    tree, targets = plan._sum._tree, plan._sum.targets.T
 
     def visit(x, c):
         size = tree.stop[c] - tree.start[c]

@@ -27,7 +27,7 @@ def entry(value, row=2):
 CALLS = [
     *[
         ("backend", value, [*BACKENDS, repr(value)])
-        for value in ("fmm", "", "KITC", None, 3, ["kitc"])
+        for value in ("fft", "", "KITC", None, 3, ["kitc"])
     ],
     *[
         ("theta", value, ["between 0 and 1", repr(value)])
@@ -35,11 +35,11 @@ CALLS = [
     ],
     *[
         ("degree", value, ["integer from 1 to", repr(value)])
-        for value in (0, -1, 2.5, 3.0, True, np.True_, "3", None, np.nan, 10**6, [3], Decimal(3))
+        for value in (0, -1, 2.5, 3.0, True, np.True_, "3", np.nan, 10**6, [3], Decimal(3))
     ],
     *[
         ("leaf_size", value, ["integer from 1 to", repr(value)])
-        for value in (0, -1, 2.5, 100.0, True, "3", None, np.inf, 2**70)
+        for value in (0, -1, 2.5, 100.0, True, "3", np.inf, 2**70)
     ],
     *[
         ("kernel", value, ["must", repr(value)])
@@ -148,7 +148,7 @@ def test_replaced_parameter_is_refused():
 def test_degrees_of_a_backend(backend, degree):
     """A Taylor polynomial may be a constant, an interpolant has two nodes; neither is endless."""
     if (backend, degree) == ("taylor", 0):
-        assert tc.Plan(KERNEL, backend, degree=degree).degree == 0
+        assert tc.Plan(KERNEL, backend, degree=0).set_points(POINTS).info()["degree"] == 0
     else:
         with pytest.raises(ValueError, match=matches("degree", ["integer from", str(degree)])):
             tc.Plan(KERNEL, backend, degree=degree)

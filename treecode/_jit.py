@@ -52,7 +52,8 @@ def _package_hash() -> str:
 
 def _cached(function: Callable, key: str | None, parallel: bool) -> Any:
     """Compile `function` with a disk cache in a folder named by `key`; no cache if it is None."""
-    options = _OPTIONS | {"parallel": parallel, "forceinline": False}
+    # Serial functions leave the interpreter to other threads, which run more of them.
+    options = _OPTIONS | {"parallel": parallel, "forceinline": False, "nogil": not parallel}
     if key is None or INTERPRETED:
         return numba.njit(**options)(function)
     root = _CONFIG.CACHE_DIR
@@ -83,22 +84,27 @@ class Driver:
     itself are compiled at each run.
     """
 
-    def __init__(self, function: Callable) -> None:
-        self._function = function
+    def __init__(self, function: Callable, parallel: bool = True) -> None:
+        self._function, self._parallel = function, parallel
         self._dispatchers: dict[type, Any] = {}
 
     def dispatcher(self, kernel_class: type) -> Any:
         """Return numba's dispatcher for one kernel class."""
         if kernel_class not in self._dispatchers:
-            key = _kernel_key(kernel_class)
-            self._dispatchers[kernel_class] = _cached(self._function, key, parallel=True)
+            key = kernel_key(kernel_class)
+            self._dispatchers[kernel_class] = _cached(self._function, key, self._parallel)
         return self._dispatchers[kernel_class]
 
     def __call__(self, kernel: Any, *arguments: Any) -> Any:
         return self.dispatcher(type(kernel))(kernel, *arguments)
 
 
-def _kernel_key(kernel_class: type) -> str | None:
+def serial_driver(function: Callable) -> Driver:
+    """Make a `Driver` of a function without ``prange`` loops, for threads of Python to call."""
+    return Driver(function, parallel=False)
+
+
+def kernel_key(kernel_class: type) -> str | None:
     """Return the name of a kernel's cache folder, or None if it cannot be cached."""
     if kernel_class.__module__.split(".")[0] == __package__:
         return _package_hash()

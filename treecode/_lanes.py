@@ -1,11 +1,12 @@
-"""`LANES` numbers as one value: the vectors in which `Kernel.pair` computes.
+"""Many numbers as one value: the vectors in which `Kernel.pair` computes.
 
 In compiled code a lanes value is an LLVM vector, wider than a register. LLVM cuts every operation
 into independent ones on full registers and puts them side by side, which keeps the processor busy
 where a loop that LLVM vectorises itself waits for results: 1.3 to 1.5 times faster, and
 the vector instructions do not hang on what an optimiser makes of a loop. A kernel sees numbers:
 lanes can be added, subtracted, multiplied, divided and compared with lanes and with numbers.
-Where nothing is compiled a lanes value is a float, and `LANES` is 1.
+There are lanes of doubles, and of singles where a tolerance allows them; a number that meets
+singles becomes one. Where nothing is compiled a lanes value is a float, and there is one lane.
 """
 
 from __future__ import annotations
@@ -22,54 +23,75 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 from treecode._jit import INTERPRETED, overloaded
 
-# Four vectors of AVX-512. With 16 or 64 lanes the pair loops are 1.1 to 1.2 times slower.
+# Four vectors of AVX-512 and two. With 16 or 64 doubles pair loops are 1.1 to 1.2 times slower.
 LANES = 1 if INTERPRETED else 32
+LANES_SINGLE = 1 if INTERPRETED else 32
 
 _FLAGS = ("contract", "reassoc", "arcp", "nsz")  # as the options in `_jit`
-_DOUBLES = ir.VectorType(ir.DoubleType(), LANES)
-_INTEGERS = ir.VectorType(ir.IntType(64), LANES)
-_BITS = ir.VectorType(ir.IntType(1), LANES)
 
 
 class _Lanes(types.Type):
-    """Numba's type of lanes (of numbers or of comparisons)."""
+    """Numba's type of lanes of numbers."""
+
+    def __init__(self, name: str, scalar: Any, llvm_scalar: Any, bits: int, count: int) -> None:
+        super().__init__(name)
+        self.scalar, self.bits, self.count = scalar, bits, count
+        self.vector = ir.VectorType(llvm_scalar, count)
+        self.integers = ir.VectorType(ir.IntType(bits), count)
+        self.mask = _Mask(f"{name} mask", self)
 
 
-_NUMBERS = _Lanes("lanes")
-_MASK = _Lanes("lanes mask")
+class _Mask(types.Type):
+    """Numba's type of the comparisons of lanes."""
+
+    def __init__(self, name: str, numbers: _Lanes) -> None:
+        super().__init__(name)
+        self.vector = ir.VectorType(ir.IntType(1), numbers.count)
+
+
+_DOUBLES = _Lanes("lanes of doubles", types.float64, ir.DoubleType(), 64, LANES)
+_SINGLES = _Lanes("lanes of singles", types.float32, ir.FloatType(), 32, LANES_SINGLE)
 
 
 @register_model(_Lanes)
+@register_model(_Mask)
 class _LanesModel(models.PrimitiveModel):
-    def __init__(self, manager: Any, lanes: _Lanes) -> None:
-        super().__init__(manager, lanes, _DOUBLES if lanes is _NUMBERS else _BITS)
+    def __init__(self, manager: Any, lanes: Any) -> None:
+        super().__init__(manager, lanes, lanes.vector)
 
 
-def _spread(builder: Any, value: Any) -> Any:
-    """Copy a double to all lanes; leave lanes as they are."""
-    if value.type == _DOUBLES:
+def _spread(builder: Any, value: Any, vector: Any) -> Any:
+    """Copy a number to all lanes; leave lanes as they are."""
+    if value.type == vector:
         return value
-    undefined = ir.Constant(_DOUBLES, ir.Undefined)
+    if value.type != vector.element:
+        value = builder.fptrunc(value, vector.element)
+    undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
-    zeros = ir.Constant(ir.VectorType(ir.IntType(32), LANES), None)
+    zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), None)
     return builder.shuffle_vector(first, undefined, zeros)
 
 
-def _register_operator(symbol: Any, result: _Lanes, emit: Any) -> None:
+def _register_operator(symbol: Any, compares: bool, emit: Any) -> None:
     """Teach numba a binary operator between lanes, or lanes and a number."""
 
     @infer_global(symbol)
     class _Operator(AbstractTemplate):
         def generic(self, arguments: Any, keywords: Any) -> Any:
-            numbers = (_Lanes, types.Number, types.Literal)
-            if _NUMBERS in arguments and all(isinstance(a, numbers) for a in arguments):
-                return signature(
-                    result, *(a if a is _NUMBERS else types.float64 for a in arguments)
+            lanes = next((a for a in arguments if isinstance(a, _Lanes)), None)
+            numbers = (types.Number, types.Literal)
+            if lanes and all(a is lanes or isinstance(a, numbers) for a in arguments):
+                singles = lanes is _SINGLES
+                given = (
+                    a if a is lanes or (singles and a is types.float32) else types.float64
+                    for a in arguments
                 )
+                return signature(lanes.mask if compares else lanes, *given)
             return None
 
     def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return emit(builder, *(_spread(builder, value) for value in values))
+        lanes = next(a for a in signature.args if isinstance(a, _Lanes))
+        return emit(builder, *(_spread(builder, value, lanes.vector) for value in values))
 
     for pair in ((_Lanes, _Lanes), (_Lanes, types.Float), (types.Float, _Lanes)):
         lower_builtin(symbol, *pair)(lower)
@@ -82,7 +104,7 @@ for _symbol, _name in (
     (operator.truediv, "fdiv"),
 ):
     _register_operator(
-        _symbol, _NUMBERS, lambda builder, a, b, n=_name: getattr(builder, n)(a, b, flags=_FLAGS)
+        _symbol, False, lambda builder, a, b, n=_name: getattr(builder, n)(a, b, flags=_FLAGS)
     )
 for _symbol, _name in (
     (operator.lt, "<"),
@@ -90,7 +112,7 @@ for _symbol, _name in (
     (operator.gt, ">"),
     (operator.ge, ">="),
 ):
-    _register_operator(_symbol, _MASK, lambda builder, a, b, n=_name: builder.fcmp_ordered(n, a, b))
+    _register_operator(_symbol, True, lambda builder, a, b, n=_name: builder.fcmp_ordered(n, a, b))
 
 
 @intrinsic
@@ -98,12 +120,12 @@ def _neg(typing_context, lanes):
     def codegen(context, builder, signature, arguments):
         return builder.fneg(arguments[0], flags=_FLAGS)
 
-    return _NUMBERS(lanes), codegen
+    return lanes(lanes), codegen
 
 
 @overloaded(operator.neg)
 def _(lanes):
-    return (lambda lanes: _neg(lanes)) if lanes is _NUMBERS else None
+    return (lambda lanes: _neg(lanes)) if isinstance(lanes, _Lanes) else None
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
@@ -116,72 +138,119 @@ def where(condition: Any, a: Any, b: Any) -> Any:
 
 @intrinsic
 def _select(typing_context, condition, a, b):
+    lanes = _DOUBLES if condition is _DOUBLES.mask else _SINGLES
+
     def codegen(context, builder, signature, arguments):
         condition, a, b = arguments
-        return builder.select(condition, _spread(builder, a), _spread(builder, b))
+        vector = lanes.vector
+        return builder.select(condition, _spread(builder, a, vector), _spread(builder, b, vector))
 
-    return _NUMBERS(condition, a, b), codegen
+    return lanes(condition, a, b), codegen
 
 
 @overloaded(where)
 def _(condition, a, b):
-    return (lambda condition, a, b: _select(condition, a, b)) if condition is _MASK else None
+    return (
+        (lambda condition, a, b: _select(condition, a, b)) if isinstance(condition, _Mask) else None
+    )
 
 
-def no_lanes() -> Any:
-    """Return lanes of zeros."""
+def no_lanes(array: Any) -> Any:
+    """Return lanes of zeros, of the precision of `array`."""
     return 0.0
 
 
 @intrinsic
-def _no_lanes(typing_context):
-    def codegen(context, builder, signature, arguments):
-        return ir.Constant(_DOUBLES, None)
+def _no_lanes(typing_context, array):
+    lanes = _lanes_of(array)
 
-    return _NUMBERS(), codegen
+    def codegen(context, builder, signature, arguments):
+        return ir.Constant(lanes.vector, None)
+
+    return lanes(array), codegen
 
 
 @overloaded(no_lanes)
-def _():
-    return lambda: _no_lanes()
+def _(array):
+    return lambda array: _no_lanes(array)
+
+
+def lane_sum(lanes: Any) -> Any:
+    """Return the sum of all lanes."""
+    return lanes
+
+
+@intrinsic
+def _lane_sum(typing_context, lanes):
+    def codegen(context, builder, signature, arguments):
+        scalar, vector = lanes.vector.element, lanes.vector
+        name = f"llvm.vector.reduce.fadd.v{lanes.count}f{lanes.bits}"
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(scalar, [scalar, vector]), name
+        )
+        zero = ir.Constant(scalar, 0.0)
+        return builder.call(function, [zero, arguments[0]], fastmath=_FLAGS)
+
+    return lanes.scalar(lanes), codegen
+
+
+@overloaded(lane_sum)
+def _(lanes):
+    return (lambda lanes: _lane_sum(lanes)) if isinstance(lanes, _Lanes) else None
+
+
+def lane_count(array: Any) -> int:
+    """Return the number of lanes of the precision of `array`."""
+    return 1
+
+
+@overloaded(lane_count)
+def _(array):
+    count = _lanes_of(array).count
+    return lambda array: count
 
 
 def load(array: Any, row: int, column: int) -> Any:
-    """Return ``array[row, column : column + LANES]`` of a C-ordered float64 array."""
+    """Return ``array[row, column : column + lane_count(array)]`` of a C-ordered array."""
     return array[row, column]
 
 
-def store(array: Any, row: int, lanes: Any) -> None:
-    """Write lanes to the start of a row of a C-ordered float64 array."""
-    array[row, 0] = lanes
+def store(array: Any, row: int, column: int, lanes: Any) -> None:
+    """Write lanes to ``array[row, column : column + lane_count(array)]``, C-ordered."""
+    array[row, column] = lanes
+
+
+def _lanes_of(array: Any) -> _Lanes:
+    return _SINGLES if array.dtype is types.float32 else _DOUBLES
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
     array = context.make_array(array_type)(context, builder, array)
     item = cgutils.get_item_pointer(context, builder, array_type, array, indices, wraparound=False)
-    return builder.bitcast(item, _DOUBLES.as_pointer())
+    return builder.bitcast(item, _lanes_of(array_type).vector.as_pointer())
 
 
 @intrinsic
 def _load(typing_context, array, row, column):
+    lanes = _lanes_of(array)
+
     def codegen(context, builder, signature, arguments):
         pointer = _pointer(context, builder, array, arguments[0], arguments[1:])
-        lanes = builder.load(pointer)
-        lanes.align = 8
-        return lanes
+        value = builder.load(pointer)
+        value.align = lanes.bits // 8
+        return value
 
-    return _NUMBERS(array, types.intp, types.intp), codegen
+    return lanes(array, types.intp, types.intp), codegen
 
 
 @intrinsic
-def _store(typing_context, array, row, lanes):
+def _store(typing_context, array, row, column, lanes):
     def codegen(context, builder, signature, arguments):
-        indices = [arguments[1], ir.Constant(arguments[1].type, 0)]
-        pointer = _pointer(context, builder, array, arguments[0], indices)
-        builder.store(arguments[2], pointer).align = 8
+        pointer = _pointer(context, builder, array, arguments[0], arguments[1:3])
+        builder.store(arguments[3], pointer).align = lanes.bits // 8
         return context.get_dummy_value()
 
-    return types.void(array, types.intp, lanes), codegen
+    return types.void(array, types.intp, types.intp, lanes), codegen
 
 
 @overloaded(load)
@@ -190,17 +259,17 @@ def _(array, row, column):
 
 
 @overloaded(store)
-def _(array, row, lanes):
-    return lambda array, row, lanes: _store(array, row, lanes)
+def _(array, row, column, lanes):
+    return lambda array, row, column, lanes: _store(array, row, column, lanes)
 
 
 def inverse_sqrt(x: Any) -> Any:
-    """Return ``1/sqrt(x)`` to 2e-16 for positive normal `x`; anything for another.
+    """Return ``1/sqrt(x)`` to rounding for positive normal `x`; anything for another.
 
     Compiled, it is a guess from the exponent bits (3.5 % off), a quadratic fitted to the
-    range of that guess (2.5e-5 off) and one step of fourth order: 15 operations that all run in
-    vectors, where the divider needs some 40 cycles for eight numbers, and unlike a single
-    precision estimate it keeps the whole range of the exponent.
+    range of that guess (2.5e-5 off) and one step of fourth order (of second order for singles): 15
+    operations that all run in vectors, where the divider needs some 40 cycles for eight numbers,
+    and unlike a single precision estimate it keeps the whole range of the exponent.
     """
     return 1.0 / math.sqrt(x) if x > 0.0 else math.inf
 
@@ -208,25 +277,33 @@ def inverse_sqrt(x: Any) -> Any:
 @intrinsic
 def _guess(typing_context, x):
     def codegen(context, builder, signature, arguments):
-        integer = _INTEGERS if x is _NUMBERS else ir.IntType(64)
+        integer = x.integers if isinstance(x, _Lanes) else ir.IntType(64)
 
         def constant(value):
-            return ir.Constant(integer, [value] * LANES if x is _NUMBERS else value)
+            return ir.Constant(integer, [value] * x.count if isinstance(x, _Lanes) else value)
 
+        magic = 0x5F375A86 if x is _SINGLES else 0x5FE6EB50C7B537A9
         bits = builder.lshr(builder.bitcast(arguments[0], integer), constant(1))
-        bits = builder.sub(constant(0x5FE6EB50C7B537A9), bits)
-        return builder.bitcast(bits, arguments[0].type)
+        return builder.bitcast(builder.sub(constant(magic), bits), arguments[0].type)
 
     return x(x), codegen
 
 
 @overloaded(inverse_sqrt)
 def _(x):
-    def compiled_inverse_sqrt(x):
+    def of_doubles(x):
         y = _guess(x)
         h = 1.0 - x * y * y
         y = y * (1.0000002120398663 + h * (0.5010991420705498 + h * 0.3755058620157817))
         h = 1.0 - x * y * y
         return y + y * h * (0.5 + h * (0.375 + h * 0.3125))
 
-    return compiled_inverse_sqrt if x is _NUMBERS or x is types.float64 else None
+    def of_singles(x):
+        y = _guess(x)
+        h = 1.0 - x * y * y
+        y = y * (1.0000002120398663 + h * (0.5010991420705498 + h * 0.3755058620157817))
+        return y + y * (0.5 * (1.0 - x * y * y))
+
+    if x is _SINGLES:
+        return of_singles
+    return of_doubles if x is _DOUBLES or x is types.float64 else None

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
 import numba
 import numpy as np
-from tqdm import tqdm
 
 from treecode import check
 from treecode.backends import direct, kitc, taylor
+from treecode.backends.walk import Walk
+from treecode.fmm import multipole
+from treecode.fmm.operators import MAX_DEGREE
 from treecode.kernels.base import Kernel
-from treecode.traversal import BATCH_SIZE, evaluate_batches, load_weights
-from treecode.tree import build_tree
 
-_BACKENDS: dict[str, ModuleType] = {"direct": direct, "kitc": kitc, "taylor": taylor}
+_WALKS: dict[str, ModuleType] = {"direct": direct, "kitc": kitc, "taylor": taylor}
+BACKENDS = (*_WALKS, "fmm")
 _MAX_DEGREE = 40
-_SLAB_SECONDS = 0.5  # how long compiled code runs before Python may report, or be interrupted
 
 
 class Plan:
@@ -30,15 +27,19 @@ class Plan:
     ----------
     kernel : Kernel
         For example ``RegularizedStokeslet(epsilon=0.02)``.
-    backend : {"kitc", "taylor", "direct"}, optional
-        Kernel-independent treecode, Taylor treecode, or direct summation.
+    backend : {"kitc", "taylor", "direct", "fmm"}, optional
+        Kernel-independent treecode, Taylor treecode, direct summation, or fast multipole method.
     theta : float, optional
-        A cluster of radius r is far from a target at distance R of its centre if
+        For treecodes: a cluster of radius r is far from a target at distance R of its centre if
         ``r / R <= theta`` (K eq. 6.1, T eq. 32). Between 0 and 1; smaller is more accurate.
     degree : int, optional
-        Degree n of the interpolation ("kitc") or order p of the expansion ("taylor").
+        Degree n of the interpolation ("kitc") or order p of the expansion ("taylor"), 7 by default;
+        polynomials in each direction ("fmm"), by default as many as `tol` asks for.
     leaf_size : int, optional
-        Most points in a leaf of the tree, N0 in the papers.
+        Most points in a leaf of the tree, N0 in the papers: 2000 by default, for "fmm" what
+        balances its two halves.
+    tol : float, optional
+        For "fmm": the relative error, K eq. (8.1), to aim at. Between 1e-13 and 1.
     progress : bool, optional
         Show a progress bar while summing.
 
@@ -50,7 +51,7 @@ class Plan:
     Notes
     -----
     The sums use as many threads as ``numba.get_num_threads()``, and do not depend on how many.
-    "direct" takes none of `theta`, `degree` and `leaf_size` into account.
+    "direct" takes none of `theta`, `degree`, `leaf_size` and `tol` into account.
 
     Examples
     --------
@@ -66,19 +67,29 @@ class Plan:
         backend: str = "kitc",
         *,
         theta: float = 0.7,
-        degree: int = 7,
-        leaf_size: int = 2000,
+        degree: int | None = None,
+        leaf_size: int | None = None,
+        tol: float = 1e-5,
         progress: bool = False,
     ) -> None:
-        self.backend = check.one_of("backend", backend, _BACKENDS)
-        self.theta = check.number("theta", theta, 0.0, 1.0)
-        self._module = _BACKENDS[backend]
-        self.kernel = check.kernel(kernel, backend, self._module.KERNEL_MEMBERS)
-        self.degree = check.integer("degree", degree, self._module.MIN_DEGREE, _MAX_DEGREE)
-        self.leaf_size = check.integer("leaf_size", leaf_size, 1)
-        self.progress = progress
-        self._seconds: dict[str, float] = {}
-        self._pairs: np.ndarray | None = None
+        self.backend = check.one_of("backend", backend, BACKENDS)
+        theta = check.number("theta", theta, 0.0, 1.0)
+        tol = check.number("tol", tol, 1e-13, 1.0)
+        module = _WALKS.get(backend)
+        members = (module or multipole).KERNEL_MEMBERS
+        self.kernel = check.kernel(kernel, backend, members)
+        if degree is not None:
+            low, high = (
+                (module.MIN_DEGREE, _MAX_DEGREE) if module else (multipole.MIN_DEGREE, MAX_DEGREE)
+            )
+            degree = check.integer("degree", degree, low, high)
+        if leaf_size is not None:
+            leaf_size = check.integer("leaf_size", leaf_size, 1)
+        self._sum: Walk | multipole.Multipole
+        if module:
+            self._sum = Walk(module, kernel, theta, _or(degree, 7), _or(leaf_size, 2000), progress)
+        else:
+            self._sum = multipole.Multipole(kernel, tol, degree, leaf_size, progress)
 
     def set_points(self, sources: Any, targets: Any = None) -> Plan:
         """Sort the points and keep all that does not depend on the strengths.
@@ -102,18 +113,8 @@ class Plan:
         """
         sources = check.points("sources", sources)
         targets = None if targets is None else check.points("targets", targets)
-        self._seconds = {}
-        with self._stage("tree"):
-            self._sources = np.array(sources.T, order="C")  # a copy: the tree sorts it
-            self._tree, self._order = self._module.build(self._sources, self.leaf_size)
-            if targets is None:
-                self._targets, self._target_order = self._sources, self._order
-            else:
-                self._targets = np.array(targets.T, order="C")
-                _, self._target_order = build_tree(self._targets, BATCH_SIZE, shrink=False)
-            self._distance2 = self._module.distance2(self._tree, self.theta)
-            self._expansion = self._module.prepare(self.kernel, self._tree, self.degree)
-            self._pairs = None
+        self._sum.set_points(_columns(sources), None if targets is None else _columns(targets))
+        self._counts = len(sources), len(sources if targets is None else targets)
         return self
 
     def execute(self, strengths: Any) -> np.ndarray:
@@ -139,63 +140,26 @@ class Plan:
             If the sum leaves the range of float64.
         """
         self._require_points()
-        strengths = check.rows(
-            "strengths", strengths, self.kernel.strength_size, self._sources.shape[1]
-        )
-        values = np.zeros((self._targets.shape[1], self.kernel.value_size))
-        batches = -(-len(values) // BATCH_SIZE)
-        self._pairs = np.zeros((batches, 2), np.int64)
-        if len(strengths) and len(values):
-            with self._stage("weights"), _threads_for(len(strengths)):
-                weights = np.empty((self.kernel.weight_size, len(strengths)))
-                load_weights(self.kernel, strengths, self._order, weights)
-                self._module.update(self._expansion, self._tree, self._sources, weights)
-            with self._stage("sum"), _threads_for(len(values)):
-                for first, last in self._slabs(batches):
-                    evaluate_batches(
-                        self.kernel,
-                        self._expansion,
-                        self._tree,
-                        self._distance2,
-                        self._sources,
-                        weights,
-                        self._targets,
-                        self._target_order,
-                        first,
-                        last,
-                        values,
-                        self._pairs,
-                    )
-        return check.finite("the sum", values)
+        size = self.kernel.strength_size
+        strengths = check.rows("strengths", strengths, size, self._counts[0])
+        return check.finite("the sum", self._sum.execute(strengths))
 
     def info(self) -> dict[str, Any]:
         """Return what was done: parameters, tree, pair counts, bytes and seconds by stage.
 
-        `near_pairs` (target and source) and `far_pairs` (target and term of an expansion) are
-        those of the last `execute`, None before it. `bytes` is what the plan holds between calls.
+        `near_pairs` (target and source) and `far_pairs` (target and term of an expansion; for
+        "fmm" cube and translation) are those of the last `execute`, None before it. `bytes` is
+        what the plan holds between calls.
         """
         self._require_points()
-        held = [self._sources, self._order, self._distance2, *self._tree]
-        held += [a for a in self._expansion if isinstance(a, np.ndarray)]
-        if self._targets is not self._sources:
-            held += [self._targets, self._target_order]
-        pairs = (None, None) if self._pairs is None else map(int, self._pairs.sum(axis=0))
-        near_pairs, far_pairs = pairs
         return {
             "kernel": self.kernel,
             "backend": self.backend,
-            "theta": self.theta,
-            "degree": self.degree,
-            "leaf_size": self.leaf_size,
             "threads": numba.get_num_threads(),
-            "sources": self._sources.shape[1],
-            "targets": self._targets.shape[1],
-            "depth": self._tree.depth,
-            "clusters": len(self._tree.radius),
-            "near_pairs": near_pairs,
-            "far_pairs": far_pairs,
-            "bytes": sum(array.nbytes for array in held),
-            "seconds": dict(self._seconds),
+            "sources": self._counts[0],
+            "targets": self._counts[1],
+            **self._sum.info(),
+            "seconds": dict(self._sum.seconds),
         }
 
     def estimate_error(self, strengths: Any, samples: int = 1000, seed: int = 0) -> float:
@@ -211,52 +175,26 @@ class Plan:
         """
         check.integer("samples", samples, 1)
         values = self.execute(strengths)
-        count = self._targets.shape[1]
-        drawn = np.random.default_rng(seed).permutation(count)[:samples]
-        exact = (
-            Plan(self.kernel, "direct")
-            .set_points(self._sources.T, self._targets[:, drawn].T)
-            .execute(np.asarray(strengths)[self._order])
+        drawn = np.random.default_rng(seed).permutation(self._counts[1])[:samples]
+        done = self._sum
+        direct_plan = Plan(self.kernel, "direct").set_points(
+            done.sources.T, done.targets[:, drawn].T
         )
-        return relative_error(values[self._target_order[drawn]], exact)
+        exact = direct_plan.execute(np.asarray(strengths)[done.source_order])
+        return relative_error(values[done.target_order[drawn]], exact)
 
     def _require_points(self) -> None:
-        if not hasattr(self, "_sources"):
+        if not hasattr(self, "_counts"):
             raise RuntimeError("set_points must be called first")
 
-    @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self._seconds[name] = time.perf_counter() - start
 
-    def _slabs(self, batches: int) -> Iterator[tuple[int, int]]:
-        """Cut the batches into slabs of about `_SLAB_SECONDS`."""
-        size = numba.get_num_threads()
-        first = 0
-        with tqdm(total=batches, disable=not self.progress, unit="batch") as bar:
-            while first < batches:
-                last = min(first + size, batches)
-                start = time.perf_counter()
-                yield first, last
-                elapsed = time.perf_counter() - start
-                size = max(size, int((last - first) * min(4.0, _SLAB_SECONDS / elapsed)))
-                bar.update(last - first)
-                first = last
+def _columns(points: np.ndarray) -> np.ndarray:
+    """Return a copy by coordinates, (3, N): the sums sort it."""
+    return np.array(points.T, order="C")
 
 
-@contextmanager
-def _threads_for(points: int) -> Iterator[None]:
-    """Wake no more threads than there are batches of points.
-
-    A sum of 76 points took 0.19 ms on one thread and 10 ms on two while another process computed.
-    """
-    threads = numba.get_num_threads()
-    numba.set_num_threads(min(threads, -(-points // BATCH_SIZE)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(threads)
+def _or(value: int | None, default: int) -> int:
+    return default if value is None else value
 
 
 def evaluate(
@@ -273,7 +211,7 @@ def evaluate(
     targets : (M, 3) array_like, optional
         The sources by default.
     **options
-        `backend`, `theta`, `degree`, `leaf_size`, `progress`.
+        `backend`, `theta`, `degree`, `leaf_size`, `tol`, `progress`.
 
     Returns
     -------

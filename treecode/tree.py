@@ -9,7 +9,7 @@ import numpy as np
 
 from treecode._jit import compiled, inlined
 
-_MAX_CHILDREN = 8
+OCTANTS = 8
 
 
 class Tree(NamedTuple):
@@ -108,7 +108,7 @@ def _middles(box, middle):
 
 
 @inlined
-def _octant(points, i, middle):
+def octant_of(points, i, middle):
     return (
         (points[0, i] > middle[0]) + 2 * (points[1, i] > middle[1]) + 4 * (points[2, i] > middle[2])
     )
@@ -126,15 +126,15 @@ def _enter(box, middle, octant):
 
 
 @inlined
-def _sort(points, order, middle, begin):
+def sort_octants(points, order, middle, begin):
     """Sort points by octant, in place; octant o goes to ``begin[o]:begin[o + 1]``."""
     cursor = np.empty_like(begin)
     for octant in range(len(begin)):
         cursor[octant] = begin[octant]
-    for octant in range(_MAX_CHILDREN):
+    for octant in range(OCTANTS):
         i = cursor[octant]
         while i < begin[octant + 1]:
-            home = _octant(points, i, middle)
+            home = octant_of(points, i, middle)
             if home == octant:
                 i += 1
             else:
@@ -148,7 +148,7 @@ def _sort(points, order, middle, begin):
 
 # Copies are loops in the compiled functions: slices and np.concatenate cost seconds to compile.
 @inlined
-def _resized(array, used, capacity):
+def resized(array, used, capacity):
     """Copy the first `used` rows to a larger array of zeros."""
     larger = np.zeros((capacity, array.shape[1]), array.dtype)
     for i in range(used):
@@ -168,7 +168,7 @@ def _build(points, order, leaf_size, shrink):
         return boxes[:0], ranges[:0]
     middle = np.empty(3)
     tight = np.empty(6)
-    begin = np.empty(_MAX_CHILDREN + 1, np.int64)
+    begin = np.empty(OCTANTS + 1, np.int64)
     _bound(points, 0, n, boxes[0])
     ranges[0, 1] = n
     count = 1
@@ -185,28 +185,28 @@ def _build(points, order, leaf_size, shrink):
             occupied = 1
             while occupied == 1:  # enter the only child that holds points
                 _middles(box, middle)
-                for octant in range(_MAX_CHILDREN + 1):
+                for octant in range(OCTANTS + 1):
                     begin[octant] = 0
                 for i in range(start, stop):
-                    begin[_octant(points, i, middle) + 1] += 1
+                    begin[octant_of(points, i, middle) + 1] += 1
                 occupied = 0
                 only = 0
-                for octant in range(_MAX_CHILDREN):
+                for octant in range(OCTANTS):
                     if begin[octant + 1] > 0:
                         occupied += 1
                         only = octant
                 if occupied == 1:
                     _enter(box, middle, only)
             begin[0] = start
-            for octant in range(_MAX_CHILDREN):
+            for octant in range(OCTANTS):
                 begin[octant + 1] += begin[octant]
-            _sort(points, order, middle, begin)
-            if count + _MAX_CHILDREN > capacity:
+            sort_octants(points, order, middle, begin)
+            if count + OCTANTS > capacity:
                 capacity *= 2
-                boxes = _resized(boxes, count, capacity)
-                ranges = _resized(ranges, count, capacity)
+                boxes = resized(boxes, count, capacity)
+                ranges = resized(ranges, count, capacity)
             ranges[cluster, 2] = count
-            for octant in range(_MAX_CHILDREN):
+            for octant in range(OCTANTS):
                 if begin[octant + 1] > begin[octant]:
                     for d in range(6):
                         boxes[count, d] = box[d]

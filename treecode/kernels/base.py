@@ -6,7 +6,7 @@ from sys import float_info
 from typing import Any, Protocol
 
 from treecode._jit import method_hook, overloaded
-from treecode._lanes import no_lanes
+from treecode._lanes import load, no_lanes
 
 # Smallest normal number, DBL_MIN. Two points coincide if the square of their distance is below it.
 SMALLEST = float_info.min
@@ -63,27 +63,27 @@ def weights(self: Any, q: tuple) -> tuple:
     return self.weights(q)
 
 
-def zero(kernel: Any) -> tuple:
-    """Return the empty accumulator of a kernel, lanes of zeros."""
-    return _zeros((0.0,) * kernel.value_size)
+def zero(kernel: Any, array: Any) -> tuple:
+    """Return the empty accumulator of a kernel, lanes of zeros in the precision of `array`."""
+    return _zeros(array, (0.0,) * kernel.value_size)
 
 
 @overloaded(zero)
-def _(kernel):
+def _(kernel, array):
     like = (0.0,) * kernel.instance_class.value_size
-    return lambda kernel: _zeros(like)
+    return lambda kernel, array: _zeros(array, like)
 
 
-def _zeros(like: tuple) -> tuple:
+def _zeros(array: Any, like: tuple) -> tuple:
     """Return as many lanes of zeros as `like` has entries; a tuple's length is part of its type."""
     return like
 
 
 @overloaded(_zeros)
-def _(like):
+def _(array, like):
     if len(like) == 1:
-        return lambda like: (no_lanes(),)
-    return lambda like: (*_zeros(like[1:]), no_lanes())
+        return lambda array, like: (no_lanes(array),)
+    return lambda array, like: (*_zeros(array, like[1:]), no_lanes(array))
 
 
 def weight_column(kernel: Any, array: Any, j: int) -> tuple:
@@ -95,6 +95,30 @@ def weight_column(kernel: Any, array: Any, j: int) -> tuple:
 def _(kernel, array, j):
     like = (0.0,) * kernel.instance_class.weight_size
     return lambda kernel, array, j: _column(array, j, like)
+
+
+def weight_lanes(kernel: Any, array: Any, j: int) -> tuple:
+    """Return lanes of a (weight_size, N) array, from column `j` on, as a tuple."""
+    return weight_column(kernel, array, j)
+
+
+@overloaded(weight_lanes)
+def _(kernel, array, j):
+    like = (0.0,) * kernel.instance_class.weight_size
+    return lambda kernel, array, j: _load_rows(array, j, like)
+
+
+def _load_rows(array: Any, j: int, like: tuple) -> tuple:
+    """Return lanes of the first ``len(like)`` rows."""
+    return tuple(load(array, c, j) for c in range(len(like)))
+
+
+@overloaded(_load_rows)
+def _(array, j, like):
+    last = len(like) - 1
+    if last == 0:
+        return lambda array, j, like: (load(array, 0, j),)
+    return lambda array, j, like: (*_load_rows(array, j, like[1:]), load(array, last, j))
 
 
 def strength_row(kernel: Any, array: Any, i: int) -> tuple:

@@ -1,0 +1,250 @@
+"""The fast multipole method reaches its tolerance, on any points, with any kernel that it takes."""
+
+import math
+from typing import NamedTuple
+
+import numba
+import numpy as np
+import pytest
+from test_degenerate import POINTS
+
+import treecode as tc
+from oracle import each_kernel, exact, random_case, with_epsilon
+from rotne_prager import RotnePrager
+from treecode.fmm import multipole, operators, store
+
+KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
+
+
+@pytest.fixture(autouse=True)
+def _own_store(monkeypatch, tmp_path_factory):
+    """Operators of the tests are kept together, apart from the user's."""
+    root = tmp_path_factory.getbasetemp() / "operators"
+    monkeypatch.setattr(store, "folder", lambda: root)
+
+
+def error(kernel, tol, points, strengths, targets=None, **options):
+    """Return the relative error and the plan."""
+    plan = tc.Plan(kernel, "fmm", tol=tol, **options).set_points(points, targets)
+    expected = tc.evaluate(kernel, points, strengths, targets, backend="direct")
+    return tc.relative_error(plan.execute(strengths), expected), plan
+
+
+@each_kernel
+def test_reaches_the_tolerance(kernel):
+    """In a cube of random points most pairs are far."""
+    tol = 1e-3
+    points, strengths, _ = random_case(kernel, 6000, 0)
+    achieved, plan = error(kernel, tol, points, strengths, leaf_size=30)
+    info = plan.info()
+    assert achieved <= tol
+    assert info["near_pairs"] < 0.2 * 6000**2
+    singular = not hasattr(kernel, "epsilon")
+    assert info["precision"] == ("float64" if singular else "float32")
+
+
+def test_converges():
+    """Each tolerance is reached, and is not reached by accident: the error falls with it."""
+    points, strengths, _ = random_case(KERNEL, 3000, 1)
+    errors = []
+    tolerances = 10.0 ** -np.array([2.0, 4.0, 6.0])
+    for tol in tolerances:
+        achieved, plan = error(KERNEL, tol, points, strengths, leaf_size=40)
+        assert plan.info()["near_pairs"] < 0.5 * 3000**2
+        errors.append(achieved)
+    assert np.all(errors <= tolerances)
+    assert np.all(np.diff(np.log10(errors)) < -1.0)
+
+
+def test_same_sign():
+    """Forces that all point one way: nearly all of the flow comes from afar."""
+    points, _, _ = random_case(KERNEL, 6000, 2)
+    achieved, _ = error(KERNEL, 1e-4, points, np.ones((6000, 3)), leaf_size=30)
+    assert achieved <= 1e-4
+
+
+@pytest.mark.parametrize("kernel", [KERNEL, tc.Stokeslet()], ids=["blob", "singular"])
+@pytest.mark.parametrize("name", POINTS)
+def test_points_no_one_wishes_for(kernel, name):
+    """However the points lie and whatever their scale."""
+    make, length = POINTS[name]
+    kernel = with_epsilon(kernel, 0.1 * length)
+    points = make(np.random.default_rng(1))
+    strengths = np.random.default_rng(0).uniform(-1.0, 1.0, (len(points), kernel.strength_size))
+    plan = tc.Plan(kernel, "fmm", tol=1e-2, leaf_size=10).set_points(points)
+    expected = exact(kernel, points, strengths, None)
+    assert tc.relative_error(plan.execute(strengths), expected.astype(float)) <= 1e-2
+    assert plan.info()["depth"] <= 48
+
+
+@pytest.mark.parametrize("targets", [None, 0, 1, 5])
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_points(count, targets):
+    points, strengths, others = random_case(KERNEL, count, 3, targets=targets)
+    achieved, _ = error(KERNEL, 1e-6, points, strengths, others)
+    assert achieved < 1e-14
+
+
+def clump(count, rng):
+    """Return points of a cube, half of them in a clump a thousandth of its side."""
+    points = rng.uniform(-1.0, 1.0, (count, 3))
+    points[::2] = 0.3 + 1e-3 * points[::2]
+    return points
+
+
+def test_cubes_of_different_size_meet():
+    """Beside a clump large leaves act on small cubes and small cubes on large leaves."""
+    rng = np.random.default_rng(4)
+    points = clump(6000, rng)
+    kernel = tc.RegularizedStokeslet(epsilon=1e-4)
+    strengths = np.ones((6000, 3))
+    achieved, plan = error(kernel, 1e-4, points, strengths, leaf_size=20)
+    assert achieved <= 1e-4
+    assert len(plan._sum._proxy_boxes)
+    assert len(plan._sum._coarse_boxes)
+    assert plan.info()["near_pairs"] < 0.1 * 6000**2
+
+
+def test_targets_apart():
+    """Targets inside, beside and far away from the sources, and much fewer."""
+    points, strengths, _ = random_case(KERNEL, 6000, 5)
+    rng = np.random.default_rng(6)
+    targets = rng.uniform(-1.0, 1.0, (400, 3)) * rng.choice([1.0, 3.0, 100.0], (400, 1))
+    achieved, _ = error(KERNEL, 1e-4, points, strengths, targets, leaf_size=30)
+    assert achieved <= 1e-4
+
+
+@each_kernel
+def test_threads_change_nothing(kernel):
+    points, strengths, _ = random_case(kernel, 4000, 7)
+    plan = tc.Plan(kernel, "fmm", tol=1e-2, leaf_size=30).set_points(points)
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
+            numba.set_num_threads(threads)
+            results.append(plan.execute(strengths))
+    finally:
+        numba.set_num_threads(before)
+    assert all(np.array_equal(result, results[0]) for result in results)
+
+
+def test_moving_points_keep_the_operators(monkeypatch):
+    """While the root fits nothing is built, nor looked up, in later steps."""
+    points, strengths, _ = random_case(KERNEL, 4000, 8)
+    plan = tc.Plan(KERNEL, "fmm", tol=1e-2, leaf_size=30).set_points(points)
+    monkeypatch.setattr(multipole, "get_level", None)
+    moved = 0.99 * points
+    values = plan.set_points(moved).execute(strengths)
+    expected = tc.evaluate(KERNEL, moved, strengths, backend="direct")
+    assert tc.relative_error(values, expected) <= 1e-2
+
+
+def test_user_kernel():
+    """A kernel known by its values alone, that of another file."""
+    rng = np.random.default_rng(9)
+    points, forces = rng.random((4000, 3)), rng.standard_normal((4000, 3))
+    achieved, plan = error(RotnePrager(0.01, 1.3), 1e-3, points, forces, leaf_size=40)
+    assert achieved <= 1e-3
+    assert plan.info()["far_pairs"] > 0
+
+
+class Chiral(NamedTuple):
+    """Not its own mirror image: force to velocity along it and across it."""
+
+    strength_size = weight_size = value_size = 3
+
+    def weights(self, q):
+        return q
+
+    def pair(self, dx, dy, dz, w, acc):
+        s = 1.0 / (1.0 + dx * dx + dy * dy + dz * dz)
+        return (
+            acc[0] + s * (w[0] + w[1] * dz - w[2] * dy),
+            acc[1] + s * (w[1] + w[2] * dx - w[0] * dz),
+            acc[2] + s * (w[2] + w[0] * dy - w[1] * dx),
+        )
+
+
+def test_chiral_kernel_is_refused():
+    points = np.random.default_rng(10).random((400, 3))
+    with pytest.raises(ValueError, match=r"isotropic.*Chiral"):
+        tc.Plan(Chiral(), "fmm", leaf_size=10).set_points(points)
+
+
+def test_operators_come_from_disk(monkeypatch, tmp_path):
+    """A level is built once, read by others, built again if damaged; the disk is bounded."""
+    monkeypatch.setattr(store, "folder", lambda: tmp_path)
+
+    def get(half):
+        store._memory.clear()
+        return store.get_level(KERNEL, half, 1e-2, 2, np.float32)
+
+    built = get(0.5)
+    (path,) = tmp_path.glob("*")
+    with monkeypatch.context() as context:
+        context.setattr(store, "build_level", None)
+        read = get(0.5)
+    for one, other in zip(built, read, strict=True):
+        for a, b in zip(*(x if isinstance(x, tuple) else (x,) for x in (one, other)), strict=True):
+            assert np.array_equal(a, b)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[: len(whole) // 2], whole[:3000] + b"????" + whole[3004:]):
+        path.write_bytes(damaged)
+        assert np.array_equal(get(0.5).translations[0], built.translations[0])
+    assert path.stat().st_size == len(whole)
+    monkeypatch.setattr(store, "DISK_BYTES", 2.5 * len(whole))
+    for half in (1.0, 2.0, 4.0):
+        get(half)
+    assert len(list(tmp_path.glob("*"))) == 2
+
+
+@each_kernel
+def test_translations_are_the_kernel(kernel):
+    """Point to point through two cubes: C_t is the kernel for every mirror image of t."""
+    half, tol = 0.7, 1e-3
+    level = operators.build_level(kernel, half, tol, None, np.float64)
+    rng = np.random.default_rng(11)
+    x, y = rng.uniform(-1.0, 1.0, (2, 3, 40))
+
+    def functions(points, bases, members, channels):
+        p = [operators._polynomials(axis, level.degree) for axis in points]
+        products = np.einsum("an,bn,cn->abcn", *p).reshape(level.degree**3, -1)
+        out = np.zeros((8, level.rank, channels, points.shape[1]))
+        for c in range(8):
+            full = np.zeros((channels * level.degree**3, level.rank))
+            full[members[c]] = bases[c]
+            full = full.reshape(channels, -1, level.rank)
+            out[c] = np.einsum("ikm,kn->min", full, products)
+        return out
+
+    u = functions(x, level.value_bases(float), level.value_members, kernel.value_size)
+    v = functions(y, level.source_bases(float), level.source_members, kernel.weight_size)
+    for t, offset in enumerate(operators.OFFSETS):
+        matrix = level.translations[t]
+        used = matrix.shape[2]
+        for signs in ((1, 1, 1), (-1, 1, -1)):
+            shift = 2.0 * np.array(offset) * signs
+            expected = operators.tabulate(kernel, half * (shift[:, None] + x - y))
+            total = np.zeros_like(expected)
+            for p in range(8):
+                for k, q in enumerate(operators.meeting(p, offset)):
+                    parity = math.prod(s for d, s in enumerate(signs) if (p ^ q) >> d & 1)
+                    block = parity * matrix[p, k * used : (k + 1) * used]
+                    total += np.einsum("bm,min,bjn->nij", block, u[p, :used], v[q, :used])
+            scale = np.linalg.norm(expected)
+            assert np.linalg.norm(total - expected) < 20 * tol * scale
+
+
+@pytest.mark.interpreted
+def test_small_enough_to_interpret():
+    """All passes, between cubes of one size and of different sizes."""
+    rng = np.random.default_rng(12)
+    points = clump(60, rng)
+    forces = np.ones((60, 3))
+    kernel = tc.RegularizedStokeslet(epsilon=0.01)
+    achieved, _ = error(kernel, 0.5, points, forces, leaf_size=1, degree=1)
+    assert achieved < 0.3
+    targets = rng.uniform(-1.0, 1.0, (5, 3))
+    achieved, _ = error(kernel, 0.5, points, forces, targets, leaf_size=4, degree=1)
+    assert achieved < 0.3

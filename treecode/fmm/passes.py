@@ -1,0 +1,414 @@
+"""What the fast multipole method does to numbers: loops over points and cubes, one thread each."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from treecode._jit import compiled, inlined, serial_driver, wide_vectors
+from treecode._lanes import lane_count, load, store
+from treecode.fmm.octree import cell_at
+from treecode.pairs import accumulate, accumulate_row
+
+
+@inlined
+def _legendre(x, values):
+    """Write the orthonormal Legendre polynomials at `x`."""
+    degree = len(values)
+    below, here = 0.0, 1.0
+    for k in range(degree):
+        values[k] = here * np.sqrt(k + 0.5)
+        below, here = here, ((2 * k + 1) * x * here - k * below) / (k + 1)
+
+
+@inlined
+def _products(y, z, polynomials, out):
+    """Write the products of polynomials in y and z, those in z running fastest."""
+    degree = len(polynomials)
+    _legendre(z, polynomials)
+    for k in range(degree):
+        out[k] = polynomials[k]
+    _legendre(y, polynomials)
+    for k in range(degree - 1, -1, -1):  # the first row is read until it is replaced
+        factor = polynomials[k]
+        for j in range(degree):
+            out[k * degree + j] = factor * out[j]
+
+
+@compiled
+def expand_points(points, weights, ranges, centers, half, out):
+    """Write the Legendre coefficients of the weights in some cubes (P2M).
+
+    Parameters
+    ----------
+    points, weights : (3, N) and (channels, N) float64
+    ranges : (n, 2) int64
+    centers : (n, 3) float64
+    half : float
+    out : (n, channels, degree, degree^2) float32 or float64
+        Overwritten.
+    """
+    wide_vectors()
+    degree = out.shape[2]
+    polynomials = np.empty(degree, out.dtype)
+    products = np.empty(degree * degree, out.dtype)
+    scale = 1.0 / half
+    for box in range(len(ranges)):
+        sums = out[box]
+        for c in range(sums.shape[0]):
+            for k in range(degree):
+                for j in range(degree * degree):
+                    sums[c, k, j] = 0.0
+        for i in range(ranges[box, 0], ranges[box, 1]):
+            y = (points[1, i] - centers[box, 1]) * scale
+            z = (points[2, i] - centers[box, 2]) * scale
+            _products(y, z, polynomials, products)
+            _legendre((points[0, i] - centers[box, 0]) * scale, polynomials)
+            for c in range(sums.shape[0]):
+                weight = weights[c, i]
+                for k in range(degree):
+                    factor = out.dtype.type(weight * polynomials[k])
+                    row = sums[c, k]
+                    for j in range(degree * degree):
+                        row[j] += factor * products[j]
+
+
+@compiled
+def evaluate_points(coefficients, points, ranges, centers, half, order, values):
+    """Add Legendre expansions at the points in some cubes (L2P).
+
+    Parameters
+    ----------
+    coefficients : (n, channels, degree, degree^2) float32 or float64
+    points : (3, M) float64
+    ranges, centers, half :
+        As for `expand_points`.
+    order : (M,) int64
+        Row of `values` for each point.
+    values : (M, channels) float64
+    """
+    wide_vectors()
+    degree = coefficients.shape[2]
+    polynomials = np.empty(degree, coefficients.dtype)
+    products = np.empty(degree * degree, coefficients.dtype)
+    inner = np.empty(degree * degree, coefficients.dtype)
+    scale = 1.0 / half
+    for box in range(len(ranges)):
+        for i in range(ranges[box, 0], ranges[box, 1]):
+            y = (points[1, i] - centers[box, 1]) * scale
+            z = (points[2, i] - centers[box, 2]) * scale
+            _products(y, z, polynomials, products)
+            _legendre((points[0, i] - centers[box, 0]) * scale, polynomials)
+            for c in range(coefficients.shape[1]):
+                for j in range(degree * degree):
+                    inner[j] = polynomials[0] * coefficients[box, c, 0, j]
+                for k in range(1, degree):
+                    factor = polynomials[k]
+                    row = coefficients[box, c, k]
+                    for j in range(degree * degree):
+                        inner[j] += factor * row[j]
+                total = inner[0] * products[0]
+                for j in range(1, degree * degree):
+                    total += inner[j] * products[j]
+                values[order[i], c] += total
+
+
+@compiled
+def mirror_images(tree, boxes, offsets, sources, columns, counts):
+    """Find the sources of translations: for each offset the mirror images of it around each box.
+
+    Parameters
+    ----------
+    tree : Octree
+    boxes : (n,) int64
+        Boxes of one level.
+    offsets : (T, 3) int64
+    sources : (T, n, 8) int64
+        Overwritten: rows of the sources among the boxes of the level, the number of those boxes
+        where there is none. Bit b of the last index mirrors the b-th direction in which the
+        offset is not zero.
+    columns : (T, n) int64
+        Overwritten: which of `boxes` have any source, for each offset.
+    counts : (T,) int64
+        Overwritten: how many.
+    """
+    level = tree.level[boxes[0]]
+    first, stop = tree.first[level], tree.first[level + 1]
+    sign = np.empty(3, np.int64)
+    for t in range(len(offsets)):
+        images = 1
+        for d in range(3):
+            images *= 2 if offsets[t, d] > 0 else 1
+        counts[t] = 0
+        for i in range(len(boxes)):
+            box = boxes[i]
+            found = False
+            for image in range(images):
+                bits = image
+                for d in range(3):
+                    sign[d] = 1
+                    if offsets[t, d] > 0:
+                        sign[d] = 1 - 2 * (bits & 1)
+                        bits >>= 1
+                # A target at +t from the source sees the source at -t.
+                source = cell_at(
+                    tree.octant[box],
+                    -sign[0] * offsets[t, 0],
+                    -sign[1] * offsets[t, 1],
+                    -sign[2] * offsets[t, 2],
+                    tree.parent[box],
+                    tree.neighbour,
+                    tree.child,
+                )
+                if source >= 0 and tree.source[source, 1] > tree.source[source, 0]:
+                    found = True
+                    sources[t, counts[t], image] = source - first
+                else:
+                    sources[t, counts[t], image] = stop - first
+            if found:
+                columns[t, counts[t]] = i
+                counts[t] += 1
+
+
+@inlined
+def _spread_bits(bits, mask):
+    """Put the bits of `bits` where `mask` has ones."""
+    out = 0
+    for d in range(3):
+        if mask >> d & 1:
+            out |= (bits & 1) << d
+            bits >>= 1
+    return out
+
+
+@compiled
+def combine(expansions, sources, count, mask, used, out):
+    """Combine mirror images to what each class of values needs.
+
+    The work is sums and differences of rows, then copies of parts of them: whole lanes, since
+    loops as short as `used` are not vectorised. A copy may write up to a lane too much, over
+    what is written next, or over the room behind the last row.
+
+    Parameters
+    ----------
+    expansions : (n + 1, 8 * m) float32 or float64
+        The last row is zero.
+    sources : (n, 8) int64
+        Of one offset, from `mirror_images`.
+    count : int
+        Columns to combine.
+    mask : int
+        Directions in which the offset is not zero.
+    used : int
+        Functions of each class that are used.
+    out : (8, count * classes that meet * used + lanes)
+        Overwritten, in rows of ``classes that meet * used``.
+    """
+    wide_vectors()
+    size = expansions.shape[1]
+    m = size // 8
+    lanes = lane_count(expansions)
+    images = 1
+    for d in range(3):
+        images *= 1 + (mask >> d & 1)
+    rows = np.empty((images, size + lanes), expansions.dtype)
+    place = np.empty((8, 8), np.int64)  # of class q among those that meet p
+    for p in range(8):
+        met = 0
+        for q in range(8):
+            place[p, q] = met * used
+            met += (p ^ q) & ~mask == 0
+    depth = images * used
+    change = np.empty(images, np.int64)
+    for image in range(images):
+        change[image] = _spread_bits(image, mask)
+    for i in range(count):
+        for image in range(0, images, 2):
+            a, b = sources[i, image], sources[i, image + 1]
+            for j in range(0, size, lanes):
+                x, y = load(expansions, a, j), load(expansions, b, j)
+                store(rows, image, j, x + y)
+                store(rows, image + 1, j, x - y)
+        step = 2
+        while step < images:
+            for image in range(images):
+                if image & step == 0:
+                    for j in range(0, size, lanes):
+                        x, y = load(rows, image, j), load(rows, image | step, j)
+                        store(rows, image, j, x + y)
+                        store(rows, image | step, j, x - y)
+            step *= 2
+        for q in range(8):
+            for image in range(images):
+                p = q ^ change[image]
+                for j in range(0, used, lanes):
+                    store(out, p, i * depth + place[p, q] + j, load(rows, image, q * m + j))
+
+
+@compiled
+def add_columns(products, columns, out):
+    """Add (8, n, used) products to the first functions of rows of `out`, (rows, 8, m)."""
+    for p in range(8):
+        for i in range(len(columns)):
+            row = out[columns[i], p]
+            product = products[p, i]
+            for j in range(products.shape[2]):
+                row[j] += product[j]
+
+
+@inlined
+def _gather(points, weights, low, high, shift, at, near, near_weights):
+    for i in range(low, high):
+        for d in range(3):
+            near[d, at] = points[d, i] - shift[d]
+        for c in range(weights.shape[0]):
+            near_weights[c, at] = weights[c, i]
+        at += 1
+    return at
+
+
+@serial_driver
+def near_field(
+    kernel, points, weights, source, proxies, proxy_weights, slot, begin, entries, targets, ranges,
+    centers, order, like, values, pairs,
+):  # fmt: skip
+    """Sum over the neighbours of some leaves.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    points, weights : (3, N) and (weight_size, N) float64
+        Sources.
+    source : (B, 2) int64
+        Sources of each box.
+    proxies : (slots, 3, n) float64
+        Points that stand for the expansion of a box.
+    proxy_weights : (slots, weight_size, n) float64
+    slot : (B,) int64
+        Of each box in `proxies`.
+    begin, entries : int64 arrays
+        Boxes that act on each leaf, see `octree.direct_lists`.
+    targets : (3, M) float64
+    ranges : (n, 2) int64
+        Of the targets of each leaf.
+    centers : (n, 3) float64
+    order : (M,) int64
+        Row of `values` for each target.
+    like : (0,) array
+        Of the precision of the arithmetic. Doubles keep the coordinates as they are, so that the
+        closest points stay apart; singles are relative to the leaf's centre.
+    values : (M, value_size) float64
+        Overwritten.
+    pairs : (n,) int64
+        Overwritten.
+    """
+    lanes = lane_count(like)
+    zero_shift = np.zeros(3)
+    for leaf in range(len(ranges)):
+        low, high = ranges[leaf, 0], ranges[leaf, 1]
+        count = 0
+        stand_ins = 0
+        for k in range(begin[leaf], begin[leaf + 1]):
+            box = entries[k]
+            if box >= 0:
+                count += source[box, 1] - source[box, 0]
+            else:
+                stand_ins += proxies.shape[2]
+        out = np.zeros((values.shape[1], high - low))
+        block = np.empty((3, high - low), like.dtype)
+        near = np.zeros((3, max(count, stand_ins) + lanes), like.dtype)
+        near_weights = np.zeros((weights.shape[0], max(count, stand_ins) + lanes), like.dtype)
+        for proxy in range(2):
+            total = stand_ins if proxy else count
+            if total == 0:
+                continue
+            shift = centers[leaf] if proxy or like.itemsize == 4 else zero_shift
+            at = 0
+            for k in range(begin[leaf], begin[leaf + 1]):
+                box = entries[k]
+                if proxy and box < 0:
+                    s = slot[~box]
+                    w, x = proxy_weights[s], proxies[s]
+                    at = _gather(x, w, 0, x.shape[1], shift, at, near, near_weights)
+                elif not proxy and box >= 0:
+                    at = _gather(
+                        points,
+                        weights,
+                        source[box, 0],
+                        source[box, 1],
+                        shift,
+                        at,
+                        near,
+                        near_weights,
+                    )
+            for i in range(at, near.shape[1]):
+                for d in range(3):
+                    near[d, i] = 0.0
+                for c in range(weights.shape[0]):
+                    near_weights[c, i] = 0.0
+            for i in range(high - low):
+                for d in range(3):
+                    block[d, i] = targets[d, low + i] - shift[d]
+            for i in range(high - low):
+                accumulate_row(kernel, block, i, near, near_weights, total, out)
+        pairs[leaf] = (count + stand_ins) * (high - low)
+        for i in range(high - low):
+            for c in range(values.shape[1]):
+                values[order[low + i], c] = out[c, i]
+
+
+@serial_driver
+def coarse_field(kernel, points, weights, source, begin, entries, nodes, centers, out):
+    """Sum over sources of larger leaves at the nodes of some boxes.
+
+    Parameters
+    ----------
+    kernel, points, weights, source, begin, entries :
+        As for `near_field`.
+    nodes : (3, n) float64
+        Relative to the centre of a box; more columns follow, see `pairs.accumulate`.
+    centers : (boxes, 3) float64
+    out : (boxes, value_size, n) float64
+        Overwritten.
+    """
+    for box in range(len(centers)):
+        for k in range(begin[box], begin[box + 1]):
+            low, high = source[entries[k], 0], source[entries[k], 1]
+            near = np.empty((3, high - low))
+            near_weights = np.empty((weights.shape[0], high - low))
+            _gather(points, weights, low, high, centers[box], 0, near, near_weights)
+            accumulate(kernel, nodes, 0, out.shape[2], near, near_weights, 0, high - low, out[box])
+
+
+@serial_driver
+def _evaluate_few(kernel, sources, weights, out):
+    target = np.zeros((3, 1), sources.dtype)
+    accumulate_row(kernel, target, 0, sources, weights, sources.shape[1] - 64, out)
+
+
+def single_serves(kernel: Any, half: float, tolerance: float) -> bool:
+    """Tell whether single precision resolves a kernel in cubes of this size to a tolerance.
+
+    It must agree with doubles, and the kernel must not change over the rounding of a coordinate.
+    """
+    rng = np.random.default_rng(0)
+    scale = np.append(0.0, half * 2.0 ** -np.arange(24.0))
+    for length in scale:
+        column = length * rng.uniform(-1.0, 1.0, (3, 1))
+        moved = column + half * 2.0**-22 * rng.uniform(-1.0, 1.0, (3, 1))
+        for unit in np.eye(kernel.weight_size):
+            results = []
+            for points, dtype in ((column, np.float64), (column, np.float32), (moved, np.float64)):
+                sources = np.zeros((3, 65), dtype)
+                weights = np.zeros((len(unit), 65), dtype)
+                sources[:, :1], weights[:, 0] = points, unit
+                out = np.zeros((kernel.value_size, 1))
+                _evaluate_few(kernel, sources, weights, out)
+                results.append(out)
+            exact, single, changed = results
+            bound = 0.3 * tolerance * np.abs(exact).max()
+            worst = np.maximum(np.abs(single - exact), np.abs(changed - exact)).max()
+            if not worst <= bound:  # true for NaN as well
+                return False
+    return True
