@@ -21,6 +21,7 @@ _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: length
 _WARNING = 1.02  # as `_MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
+_LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
 @dataclass(frozen=True)
@@ -164,7 +165,7 @@ class Stepper:
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
             wanted = max(wanted, 0.01 * _SMALLEST * interval)
-        return interval / max(1, math.ceil(interval / wanted * (1.0 - 1e-12)))
+        return interval / max(1, math.ceil(interval / wanted * (1.0 - _LONGER)))
 
     def _warn(self, limit: float) -> None:
         assert self.fixed is not None

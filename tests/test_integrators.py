@@ -346,6 +346,15 @@ def test_fixed_step_is_taken_however_short():
     assert time == pytest.approx(1e-14, rel=1e-12)
 
 
+def test_fixed_steps_fill_an_interval_late_in_a_run():
+    """Fifty of 1/50 in one time unit, though times of 1e6 are rounded to 1e-10."""
+    stepper = Stepper(mrs.Integrator("euler", 0.02))
+    time, state = 1e6, State(np.zeros((1, 3)), np.empty((0, 4)))
+    while time < 1e6 + 1.0:
+        time, state = stepper.step(_Burst(), time, state, 1e6 + 1.0)
+    assert stepper.steps == 50
+
+
 def test_nothing_is_kept_of_a_rejected_step():
     """A run whose steps are those that were accepted arrives at the same place."""
     stepper = Stepper(mrs.Integrator("bs32", tolerance=1e-3))
@@ -470,6 +479,20 @@ def test_a_run_that_blows_up():
         with pytest.raises(mrs.SimulationError, match=r"of node \d of 'rods' .* after time \d+"):
             sim.run(1e5)
     assert np.isfinite(sim.state.positions).all()
+
+
+@pytest.mark.parametrize("dt", [1e12, "auto"])
+def test_rkc2_takes_no_more_stages_than_it_is_stable_with(dt):
+    """A rod too stiff for 250 stages: an error of the run, not millions of stages in memory."""
+    assert METHODS["rkc2"].stages(np.inf) == METHODS["rkc2"].stages(np.nan) == 250
+    line = mrs.geometry.straight(1.0, 8)
+    rod = mrs.Rods(line, intrinsic_curvature=STRAIN, **(ROD | {"bending": 1e60}))
+    integrator = mrs.Integrator("rkc2", dt)
+    sim = mrs.Simulation(mrs.Fluid(1.0, 0.3), [rod], backend="direct", integrator=integrator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        with pytest.raises(mrs.SimulationError):
+            sim.run(1e13)
 
 
 def test_tolerance_out_of_reach_is_said():

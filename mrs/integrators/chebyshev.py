@@ -60,8 +60,8 @@ class Chebyshev:
     error_order = 2
 
     def stages(self, h_lambda: float) -> int:
-        """Return the smallest number of stages that is stable, at least 2 (SSV eq. 2.5)."""
-        return max(2, 1 + int(sqrt(1.0 + 1.54 * h_lambda)))
+        """Return the smallest number of stages that is stable, from 2 to 250 (SSV eq. 2.5)."""
+        return max(2, 1 + int(min(_MAX_STAGES - 1, sqrt(1.0 + 1.54 * h_lambda))))
 
     def stability_interval(self) -> float:
         """Return that of the largest number of stages allowed."""

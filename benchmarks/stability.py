@@ -1,0 +1,77 @@
+"""What is asked at the limits, what happened, and the bound: the cases of tests/test_stability.py.
+
+python benchmarks/stability.py [--quick] [--output FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import inspect
+import os
+import platform
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import numpy as np
+import scipy
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+
+import test_stability
+
+
+def machine() -> str:
+    """Return processor, system, versions and date."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = models[0] if models else platform.processor() or platform.machine()
+    return (
+        f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
+        f"Python {platform.python_version()}, numba {numba.__version__}, numpy {np.__version__}, "
+        f"scipy {scipy.__version__}; {datetime.date.today()}."
+    )
+
+
+def section(case: test_stability.Case, explained: bool) -> Iterator[str]:
+    """Yield the lines of one case; those of one function are `explained` once."""
+    start = time.perf_counter()
+    findings = case.findings()
+    print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+    yield f"\n## {case.heading}\n"
+    if not explained:
+        yield inspect.cleandoc(case.function.__doc__ or "") + "\n"
+    yield "| asked | found | bound |\n|---|---|---|"
+    for finding in findings:
+        yield str(finding) if finding.holds() else f"{finding} **out of bounds** |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Ask at the limits; print a table for each case.")
+    parser.add_argument("--quick", action="store_true", help="leave out what takes minutes")
+    parser.add_argument("--output", type=Path, help="a file; the terminal by default")
+    options = parser.parse_args()
+    lines = [
+        "# Stability\n",
+        "What is asked at the limits, what happened, and the bound. A rounding is 2^-53, theta is",
+        f"{test_stability.THETA} where no other is named.\n",
+        machine(),
+    ]
+    functions = []
+    for case in test_stability.CASES:
+        if not (options.quick and case.slow):
+            lines += section(case, case.function in functions)
+            functions.append(case.function)
+    text = "\n".join(lines) + "\n"
+    if options.output is None:
+        print(text, end="")
+    else:
+        options.output.write_text(text)
+
+
+if __name__ == "__main__":
+    main()
