@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import platformdirs
 
-from treecode._jit import INTERPRETED, kernel_key
+from treecode._jit import kernel_key
 from treecode.fmm.operators import Level, build_level
 from treecode.kernels.base import Kernel
 
@@ -44,7 +44,7 @@ def get_level(
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
-    path = None if source is None or INTERPRETED else folder() / f"{key[:32]}.npz"
+    path = None if source is None else folder() / f"{key[:32]}.npz"
     level = _read(path) if path else None
     if level is None:
         level = build_level(kernel, half, tolerance, degree, dtype)
