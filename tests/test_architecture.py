@@ -26,7 +26,8 @@ ALLOWED = {
         "treecode.traversal", "treecode.tree", "treecode.upward",
     },
     "treecode.fmm.octree": {"treecode._jit", "treecode.tree"},
-    "treecode.fmm.operators": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
+    "treecode.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
+    "treecode.fmm.operators": {"treecode.fmm.symmetry", "treecode.kernels.base"},
     "treecode.fmm.store": {"treecode._jit", "treecode.fmm.operators", "treecode.kernels.base"},
     "treecode.fmm.passes": {
         "treecode._jit", "treecode._lanes", "treecode.fmm.octree", "treecode.pairs",

@@ -26,6 +26,7 @@ from treecode._jit import INTERPRETED, overloaded
 # Four vectors of AVX-512 and two. With 16 or 64 doubles pair loops are 1.1 to 1.2 times slower.
 LANES = 1 if INTERPRETED else 32
 LANES_SINGLE = 1 if INTERPRETED else 32
+EIGHT = 1 if INTERPRETED else 8  # where rows are as short as that
 
 _FLAGS = ("contract", "reassoc", "arcp", "nsz")  # as the options in `_jit`
 
@@ -51,6 +52,8 @@ class _Mask(types.Type):
 
 _DOUBLES = _Lanes("lanes of doubles", types.float64, ir.DoubleType(), 64, LANES)
 _SINGLES = _Lanes("lanes of singles", types.float32, ir.FloatType(), 32, LANES_SINGLE)
+_EIGHT_DOUBLES = _Lanes("eight doubles", types.float64, ir.DoubleType(), 64, 8)
+_EIGHT_SINGLES = _Lanes("eight singles", types.float32, ir.FloatType(), 32, 8)
 
 
 @register_model(_Lanes)
@@ -81,7 +84,7 @@ def _register_operator(symbol: Any, compares: bool, emit: Any) -> None:
             lanes = next((a for a in arguments if isinstance(a, _Lanes)), None)
             numbers = (types.Number, types.Literal)
             if lanes and all(a is lanes or isinstance(a, numbers) for a in arguments):
-                singles = lanes is _SINGLES
+                singles = lanes.bits == 32
                 given = (
                     a if a is lanes or (singles and a is types.float32) else types.float64
                     for a in arguments
@@ -224,33 +227,45 @@ def _lanes_of(array: Any) -> _Lanes:
     return _SINGLES if array.dtype is types.float32 else _DOUBLES
 
 
-def _pointer(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
-    array = context.make_array(array_type)(context, builder, array)
-    item = cgutils.get_item_pointer(context, builder, array_type, array, indices, wraparound=False)
-    return builder.bitcast(item, _lanes_of(array_type).vector.as_pointer())
+def _eight_of(array: Any) -> _Lanes:
+    return _EIGHT_SINGLES if array.dtype is types.float32 else _EIGHT_DOUBLES
 
 
-@intrinsic
-def _load(typing_context, array, row, column):
-    lanes = _lanes_of(array)
+def _access(lanes_of: Any) -> tuple[Any, Any]:
+    """Return intrinsics that load and store the lanes `lanes_of` an array."""
 
-    def codegen(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, array, arguments[0], arguments[1:])
-        value = builder.load(pointer)
-        value.align = lanes.bits // 8
-        return value
+    def pointer(context: Any, builder: Any, array_type: Any, array: Any, indices: Any) -> Any:
+        array = context.make_array(array_type)(context, builder, array)
+        item = cgutils.get_item_pointer(
+            context, builder, array_type, array, indices, wraparound=False
+        )
+        return builder.bitcast(item, lanes_of(array_type).vector.as_pointer())
 
-    return lanes(array, types.intp, types.intp), codegen
+    @intrinsic
+    def load_lanes(typing_context, array, row, column):
+        lanes = lanes_of(array)
+
+        def codegen(context, builder, signature, arguments):
+            value = builder.load(pointer(context, builder, array, arguments[0], arguments[1:]))
+            value.align = lanes.bits // 8
+            return value
+
+        return lanes(array, types.intp, types.intp), codegen
+
+    @intrinsic
+    def store_lanes(typing_context, array, row, column, lanes):
+        def codegen(context, builder, signature, arguments):
+            place = pointer(context, builder, array, arguments[0], arguments[1:3])
+            builder.store(arguments[3], place).align = lanes.bits // 8
+            return context.get_dummy_value()
+
+        return types.void(array, types.intp, types.intp, lanes), codegen
+
+    return load_lanes, store_lanes
 
 
-@intrinsic
-def _store(typing_context, array, row, column, lanes):
-    def codegen(context, builder, signature, arguments):
-        pointer = _pointer(context, builder, array, arguments[0], arguments[1:3])
-        builder.store(arguments[3], pointer).align = lanes.bits // 8
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, types.intp, lanes), codegen
+_load, _store = _access(_lanes_of)
+_load_eight, _store_eight = _access(_eight_of)
 
 
 @overloaded(load)
@@ -261,6 +276,26 @@ def _(array, row, column):
 @overloaded(store)
 def _(array, row, column, lanes):
     return lambda array, row, column, lanes: _store(array, row, column, lanes)
+
+
+def load_eight(array: Any, row: int, column: int) -> Any:
+    """Return ``array[row, column : column + EIGHT]`` of a C-ordered array."""
+    return array[row, column]
+
+
+def store_eight(array: Any, row: int, column: int, lanes: Any) -> None:
+    """Write lanes to ``array[row, column : column + EIGHT]``, C-ordered."""
+    array[row, column] = lanes
+
+
+@overloaded(load_eight)
+def _(array, row, column):
+    return lambda array, row, column: _load_eight(array, row, column)
+
+
+@overloaded(store_eight)
+def _(array, row, column, lanes):
+    return lambda array, row, column, lanes: _store_eight(array, row, column, lanes)
 
 
 def inverse_sqrt(x: Any) -> Any:

@@ -27,14 +27,14 @@ KERNEL_MEMBERS = MEMBERS
 
 # An operator's error in the mean square as part of the tolerance: strengths that cancel, and
 # points that crowd in corners of cubes, make more of it.
-_SAFETY = 0.2
+_SAFETY = 0.4
 _SINGLE = 3e-6  # tolerance from which single precision serves, if it does for the kernel
 _FIRST = 2  # the coarsest level with cubes that do not touch
 _DIRECT = 16  # leaves
-_CHUNK = 64  # cubes that one thread takes at a time
+_CHUNK = 256  # cubes that one thread takes at a time
+_LEAVES = 64  # of these, where points meet points
 _SAMPLE = 40_000  # points from which the side of the root is chosen
 _ROOM = 64  # more than any lanes
-_MASKS = [sum(1 << d for d in range(3) if t[d]) for t in OFFSETS]
 
 
 class Multipole:
@@ -55,7 +55,7 @@ class Multipole:
         self.kernel, self.tolerance, self.degree = kernel, tolerance, degree
         self._progress = progress
         self._dtype: Any = np.float64
-        self._box_cost = _box_cost(kernel, _SAFETY * tolerance)
+        self._box_cost = _box_cost(kernel, _SAFETY * tolerance, tolerance >= _SINGLE)
         self.leaf_size = leaf_size or int(2.0 * math.sqrt(self._box_cost / 27.0))
         # Below this many points no cube is worth its translations.
         self._direct = 0 if leaf_size else int(_DIRECT * self.leaf_size)
@@ -130,6 +130,7 @@ class Multipole:
             held += [a for a in self._tree if isinstance(a, np.ndarray)]
             held += [*self._near_lists, *self._coarse_lists]
             for level in self._levels.values():
+                held += [a for a in level if isinstance(a, np.ndarray)]
                 held += [a for item in level if isinstance(item, tuple) for a in item]
                 degrees.add(level.degree)
             held += [array for transfer in self._transfers.values() for array in transfer]
@@ -192,8 +193,8 @@ class Multipole:
         between_sizes = np.append(self._coarse_boxes, self._proxy_boxes)
         self._first = min(tree.level[between_sizes], default=tree.depth + 1)
         for level in range(_FIRST, self._first):
-            _, _, counts = self._images(tree, self._boxes_with_targets(tree, level))
-            if counts.any():
+            boxes = self._boxes_with_targets(tree, level)
+            if passes.has_far_sources(tree, boxes, np.array(OFFSETS)):
                 self._first = level
                 break
         halves = [tree.half(level) for level in range(self._first, tree.depth + 1)]
@@ -222,15 +223,6 @@ class Multipole:
     def _boxes_with_targets(self, tree: Octree, level: int) -> np.ndarray:
         boxes = np.arange(tree.first[level], tree.first[level + 1])
         return boxes[self._has_targets[boxes]]
-
-    def _images(self, tree: Octree, boxes: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return `passes.mirror_images` of boxes of one level."""
-        sources = np.empty((len(OFFSETS), len(boxes), 8), np.int64)
-        columns = np.empty((len(OFFSETS), len(boxes)), np.int64)
-        counts = np.zeros(len(OFFSETS), np.int64)
-        if len(boxes):
-            passes.mirror_images(tree, boxes, np.array(OFFSETS), sources, columns, counts)
-        return sources, columns, counts
 
     def _upward(
         self, tree: Octree, weights: np.ndarray, threads: _Threads
@@ -302,29 +294,26 @@ class Multipole:
     def _translate(
         self, tree: Octree, level: int, outer: np.ndarray, inner: np.ndarray, threads: _Threads
     ) -> None:
-        operators, first = self._levels[level], tree.first[level]
+        operators = self._levels[level]
         boxes = self._boxes_with_targets(tree, level)
-        # As many columns as keep the operands of a product near the processor.
-        size = max(16, min(256, 2**20 // (8 * outer[0].nbytes)))
+
+        pairs = np.zeros(len(boxes), np.int64)
 
         def translate(chunk: slice) -> None:
-            some = boxes[chunk]
-            sources, columns, counts = self._images(tree, some)
-            combined = np.empty(CLASSES * (size * outer.shape[1] + _ROOM), self._dtype)
-            product = np.empty(size * outer.shape[1], self._dtype)
-            for t, matrix in enumerate(operators.translations):
-                count = int(counts[t])
-                if count:
-                    depth, used = matrix.shape[1:]
-                    left = combined[: CLASSES * (count * depth + _ROOM)].reshape(CLASSES, -1)
-                    passes.combine(outer, sources[t], count, _MASKS[t], used, left)
-                    columns_of = left[:, : count * depth].reshape(CLASSES, count, depth)
-                    right = product[: CLASSES * count * used].reshape(CLASSES, count, used)
-                    np.matmul(columns_of, matrix, out=right)
-                    passes.add_columns(right, some[columns[t, :count]] - first, inner)
-            self._pairs[1] += counts.sum()
+            passes.translate(
+                tree,
+                boxes[chunk],
+                np.array(OFFSETS),
+                operators.matrices,
+                operators.begin,
+                operators.used,
+                outer,
+                inner,
+                pairs[chunk],
+            )
 
-        threads(translate, len(boxes), size)
+        threads(translate, len(boxes))
+        self._pairs[1] += pairs.sum()
 
     def _across_sizes(
         self, tree: Octree, inner: dict[int, np.ndarray], weights: np.ndarray
@@ -415,7 +404,7 @@ class Multipole:
                 pairs[chunk],
             )
 
-        threads(sum_leaves, len(self._target_leaves), progress=True)
+        threads(sum_leaves, len(self._target_leaves), _LEAVES, progress=True)
         self._pairs[0] += pairs.sum()
 
     def _proxies(self, tree: Octree, outer: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -470,15 +459,16 @@ class Multipole:
         threads(evaluate, len(leaves))
 
 
-def _box_cost(kernel: Kernel, tolerance: float) -> float:
+def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:
     """Return the time to translate for one cube, in near pairs of the same precision.
 
-    Measured: 41, 88 and 180 microseconds at ranks of 96, 192 and 320, 0.9e9 pairs a second.
+    Measured: 40 and 120 microseconds at ranks of 128 and 320 in single precision, 0.75 ms at 576 in
+    double precision; 0.9e9 and 0.75e9 pairs a second.
     """
     channels = kernel.weight_size * kernel.value_size / 9.0
-    rank = 15.0 * math.log10(1.0 / tolerance) ** 1.7 * channels**0.4
-    seconds = 1e-9 * rank**2 + 2e-7 * rank + 1.3e-5
-    return seconds * 0.9e9 / channels**0.6
+    rank = 12.0 * math.log10(1.0 / tolerance) ** 2 * channels**0.4
+    seconds = (0.6e-9 if single else 2.2e-9) * rank**2 + 2e-7 * rank
+    return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
 
 class _Threads:

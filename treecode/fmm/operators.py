@@ -5,7 +5,7 @@ be orthonormal. For cubes t cells apart the kernel is then the matrix
 
     K_t[(i, k), (j, l)] = int int p_k(x) K_ij(h (2 t + x - y)) p_l(y) dx dy,
 
-the best approximation in the mean square. Three things make it cheap:
+the best approximation in the mean square. Four things make it cheap:
 
 * Few combinations of polynomials matter: of all translations together the leading
   singular vectors, U on the side of the targets and V on that of the sources, U^T K_t V = C_t.
@@ -13,6 +13,7 @@ the best approximation in the mean square. Three things make it cheap:
   combination is even or odd in each direction, which makes eight classes. Sums over the 2, 4 or 8
   cubes that are mirror images of t then need 1/2, 1/4 or 1/8 of the products (`passes.combine`).
 * The classes are sorted by weight, and the further apart two cubes are the fewer are used.
+* Under a permutation of the axes components change places: C_t follows from another one.
 
 Channels of different units (forces and torques) are brought to one size before.
 """
@@ -26,9 +27,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from treecode._jit import serial_driver
+from treecode.fmm.symmetry import Channels, find_symmetry, tabulate
 from treecode.kernels.base import Kernel
-from treecode.pairs import accumulate
 
 CLASSES = 8
 # Every translation up to reflections.
@@ -36,13 +36,16 @@ OFFSETS = [t for t in itertools.product(range(4), repeat=3) if max(t) > 1]
 MAX_DEGREE = 30
 # Sign of a function of a class at an image, in (class, image) order.
 _PARITY = np.array([[(-1.0) ** bin(p & q).count("1") for q in range(8)] for p in range(8)])
-_GROUP = 4  # functions of a class come in groups: whole vectors, and few different shapes
+_GROUP = 8  # functions of a class come in groups, which are vectors in `passes`
 
 # Shares of the tolerance for degree, rank, and truncation of far translations, in squares.
 _SHARES = 0.3, 0.4, 0.3
-_SAMPLES = 64  # points drawn for each degree: several times as many fields as functions kept
+# Points drawn for each degree, images among them: several times as many fields as functions kept.
+_SAMPLES = 64
 _OVERSAMPLING = 2  # equations for each unknown in fits
 _FEW_SAMPLES = 8  # to choose a degree
+_AT_A_TIME = 64  # of these points, for memory
+_FEW_MODES = 64
 
 
 class Level(NamedTuple):
@@ -58,9 +61,13 @@ class Level(NamedTuple):
         The coefficients in each class, as flat indices of (channel, k1, k2, k3).
     source_scale, value_scale : (channels,) float64
         What brings channels to one size.
-    translations : tuple of 56 (8, n, m) arrays
+    matrices : (n,) float32 or float64
         C_t for each of `OFFSETS`, transposed: for each class of values the rows are the classes of
-        sources that meet it, m functions of each.
+        sources that meet it. One behind the other,
+    begin : (57,) int64
+        from here on,
+    used : (56,) int64
+        with so many functions of each class.
     """
 
     degree: int
@@ -70,7 +77,9 @@ class Level(NamedTuple):
     value_members: tuple[np.ndarray, ...]
     source_scale: np.ndarray
     value_scale: np.ndarray
-    translations: tuple[np.ndarray, ...]
+    matrices: np.ndarray
+    begin: np.ndarray
+    used: np.ndarray
 
     @property
     def rank(self) -> int:
@@ -101,122 +110,99 @@ class Level(NamedTuple):
         return points, np.einsum("ai,bj,ck->abcijk", p, p, p).reshape(len(x) ** 3, -1)
 
 
-class Reflections(NamedTuple):
-    """Signs with which the channels of a kernel answer to a reflection, (3, channels) of +-1."""
-
-    values: np.ndarray
-    sources: np.ndarray
-
-
-def tabulate(kernel: Kernel, points: np.ndarray) -> np.ndarray:
-    """Return K(r), (n, value_size, weight_size), at points r, (3, n)."""
-    n, columns = points.shape[1], kernel.weight_size
-    padded = np.zeros((3, n + 64))
-    padded[:, :n] = points
-    out = np.zeros((columns, kernel.value_size, n))
-    _tabulate(kernel, padded, np.zeros((3, 1)), np.eye(columns), out)
-    return out.transpose(2, 1, 0)
-
-
-@serial_driver
-def _tabulate(kernel, points, origin, units, out):
-    for c in range(out.shape[0]):
-        accumulate(
-            kernel, points, 0, out.shape[2], origin, units[:, c : c + 1].copy(), 0, 1, out[c]
-        )
-
-
-def reflections(kernel: Kernel, half: float) -> Reflections:
-    """Find how a kernel behaves under reflections.
-
-    Beside the size of the cubes larger ones are looked at: where the kernel hardly varies, what
-    couples its channels is lost, and with it the sign of one relative to another.
-
-    Raises
-    ------
-    ValueError
-        If a reflection does more than change signs of components.
-    """
-    points = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))
-    lengths = half * 2.0 ** np.arange(0.0, 60.0, 4.0)
-
-    def sample(mirror: np.ndarray) -> np.ndarray:
-        tables = (tabulate(kernel, length * points * mirror[:, None]) for length in lengths)
-        return np.concatenate([table / np.abs(table).max() for table in tables])
-
-    table = sample(np.ones(3))
-    values, sources = np.ones((3, table.shape[1])), np.ones((3, table.shape[2]))
-    size = np.abs(table).max(axis=0)
-    for d in range(3):
-        mirrored = sample(np.where(np.arange(3) == d, -1.0, 1.0))
-        sign = np.sign((table * mirrored).sum(axis=0)) * (size > 1e-9)
-        _split_signs(sign, values[d], sources[d])
-        if np.abs(mirrored - np.outer(values[d], sources[d]) * table).max() > 1e-9:
-            raise ValueError(
-                "backend must be 'kitc' or 'direct' for a kernel that is not isotropic: "
-                f"'fmm' needs components that a reflection leaves alone or negates, got {kernel!r}"
-            )
-    return Reflections(values, sources)
-
-
-def _split_signs(sign: np.ndarray, values: np.ndarray, sources: np.ndarray) -> None:
-    """Write sign[i, j] = values[i] sources[j] where it is not zero."""
-    known_values, known_sources = np.zeros(len(values), bool), np.zeros(len(sources), bool)
-    while not known_values.all():
-        known_values[np.argmin(known_values)] = True  # of parts that do not meet each is free
-        for _ in range(len(values) + len(sources)):
-            for i, j in np.argwhere(sign):
-                if known_values[i] and not known_sources[j]:
-                    sources[j], known_sources[j] = sign[i, j] * values[i], True
-                elif known_sources[j] and not known_values[i]:
-                    values[i], known_values[i] = sign[i, j] * sources[j], True
-
-
 def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
     """Return the orthonormal Legendre polynomials at x, (degree, n)."""
     scale = np.sqrt(np.arange(degree) + 0.5)
     return np.asarray(legendre.legvander(x, degree - 1) * scale).T
 
 
-class _Fields(NamedTuple):
-    """What single sources far away do in a cube, or single targets far away feel of it.
+class _Side(NamedTuple):
+    """Sources or values in a cube, as the far side of the kernel sees them.
 
     Attributes
     ----------
-    coefficients : (channels * degree^3, samples) float64
+    degree : int
+    channels : Channels
     scale : (channels,) float64
-        What has brought the channels to one size.
+        What brings the channels to one size.
+    members : list of 8 int64 arrays
+        The coefficients in each class, as flat indices of (channel, k1, k2, k3).
+    modes : list of 8 pairs
+        Leading combinations of the coefficients of each class, (members, n), and how much of the
+        fields is in each, in squares.
     """
 
-    coefficients: np.ndarray
+    degree: int
+    channels: Channels
     scale: np.ndarray
+    members: list[np.ndarray]
+    modes: list[tuple[np.ndarray, np.ndarray]]
+
+    def basis(self, rank: int) -> tuple[np.ndarray, ...]:
+        """Return the first `rank` combinations of each class, and zeros if there are fewer."""
+        out = tuple(np.zeros((len(vectors), rank)) for vectors, _ in self.modes)
+        for basis, (vectors, _) in zip(out, self.modes, strict=True):
+            basis[:, : vectors.shape[1]] = vectors[:, :rank]
+        return out
+
+
+def _permutations(channels: Channels, degree: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return where coefficients come from if the axes are permuted, and their signs."""
+    index = np.arange(channels.becomes.shape[1] * degree**3).reshape(-1, degree, degree, degree)
+    return [
+        (index[becomes].transpose(0, *(1 + axes)).ravel(), np.repeat(signs, degree**3))
+        for axes, becomes, signs in zip(*channels[1:], strict=True)
+    ]
 
 
 def _fields(
-    table: Callable[[np.ndarray], np.ndarray], half: float, degree: int, samples: int = _SAMPLES
-) -> _Fields:
+    table: Callable[[np.ndarray], np.ndarray],
+    channels: Channels,
+    half: float,
+    degree: int,
+    samples: int,
+) -> tuple[np.ndarray, np.ndarray]:
     """Draw points where cubes interact with [-1, 1]^3 and expand their fields in it.
 
-    `table` returns the kernel at points (3, n) as (n, channels in the cube, channels outside).
+    The fields of the points with their axes permuted are these, permuted.
+
+    Parameters
+    ----------
+    table : function
+        Returns the kernel at points (3, n) as (n, channels in the cube, channels outside).
+    channels : Channels
+        In the cube.
+    half : float
+    degree, samples : int
+
+    Returns
+    -------
+    coefficients : (channels * degree^3, fields) ndarray
+    scale : (channels,) ndarray
+        What has brought the channels to one size.
     """
     rng = np.random.default_rng(0)
-    # As many at every distance: those nearby ask most. The weight makes up for their number.
-    distance = rng.uniform(3.0, 7.0, (samples * degree, 1))
-    outside = rng.uniform(-1.0, 1.0, (samples * degree, 3))
+    # Many close by: they ask most, and with few there the error grew with the number of digits.
+    distance = 3.0 + 4.0 * rng.random((samples, 1)) ** 2
+    outside = rng.uniform(-1.0, 1.0, (samples, 3))
     outside *= distance / np.abs(outside).max(axis=1, keepdims=True)
     x, w = legendre.leggauss(degree + 2)
     project = _polynomials(x, degree) * w
     grid = np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, 1, -1)
-    values = table(half * (grid - outside.T[:, :, None]).reshape(3, -1))
-    values = values.reshape(len(outside), len(x), len(x), len(x), *values.shape[1:])
-    values = values * distance[:, :, None, None, None, None]
-    for _ in range(3):  # each takes the first axis of the cube to the end
-        values = np.tensordot(values, project, axes=(1, 1))
-    # sample, channel inside, channel outside, k1, k2, k3
-    values = np.moveaxis(values, (0, 2), (-2, -1))
-    values = values.reshape(values.shape[0], degree**3, -1)
-    scale = 1.0 / np.sqrt((values**2).sum(axis=(1, 2)))
-    return _Fields((values * scale[:, None, None]).reshape(-1, values.shape[2]), scale)
+    parts = []
+    for some in np.array_split(np.arange(samples), -(-samples // _AT_A_TIME)):
+        values = table(half * (grid - outside[some].T[:, :, None]).reshape(3, -1))
+        values = values.reshape(len(some), len(x), len(x), len(x), *values.shape[1:])
+        values = values * distance[some][:, :, None, None, None, None]
+        for _ in range(3):  # each takes the first axis of the cube to the end
+            values = np.tensordot(values, project, axes=(1, 1))
+        # channel inside, k1, k2, k3, sample, channel outside
+        values = values.transpose(1, 3, 4, 5, 0, 2)
+        parts.append(values.reshape(values.shape[0], degree**3, -1))
+    coefficients = np.concatenate(parts, axis=2)
+    square = (coefficients**2).sum(axis=(1, 2))
+    scale = 1.0 / np.sqrt(square[channels.becomes].mean(axis=0))
+    return (coefficients * scale[:, None, None]).reshape(-1, coefficients.shape[2]), scale
 
 
 class _Octant(NamedTuple):
@@ -237,10 +223,9 @@ class _Octant(NamedTuple):
     signs: np.ndarray
 
 
-def _octant(
-    basis: list[np.ndarray], members: list[np.ndarray], degree: int, signs: np.ndarray, seed: int
-) -> _Octant:
+def _octant(basis: tuple[np.ndarray, ...], side: _Side, seed: int) -> _Octant:
     """Draw points, denser towards the faces as least squares ask for, and factorise."""
+    degree, signs = side.degree, side.channels.parity
     channels, rank = signs.shape[1], basis[0].shape[1]
     count = -(-_OVERSAMPLING * rank // channels) + 4
     angle = 0.5 * np.pi * np.random.default_rng(seed).random((3, count))
@@ -249,7 +234,7 @@ def _octant(
     x, y, z = (_polynomials(axis, degree) for axis in points)
     products = np.einsum("an,bn,cn->abcn", x, y, z).reshape(degree**3, count)
     fit = []
-    for functions, coefficients in zip(basis, members, strict=True):
+    for functions, coefficients in zip(basis, side.members, strict=True):
         full = np.zeros((channels * degree**3, rank))
         full[coefficients] = functions
         full = full.reshape(channels, degree**3, rank)
@@ -278,9 +263,9 @@ def _degrees(degree: int, channels: int) -> np.ndarray:
     return np.tile(k, channels)
 
 
-def _members(degree: int, signs: np.ndarray) -> list[np.ndarray]:
+def _members(degree: int, parity: np.ndarray) -> list[np.ndarray]:
     """Return the coefficients of each class: odd in the directions of the bits set."""
-    odd = _degrees(degree, signs.shape[1]) + np.repeat(signs < 0, degree**3, axis=1)
+    odd = _degrees(degree, parity.shape[1]) + np.repeat(parity < 0, degree**3, axis=1)
     classes = (odd % 2 * np.array([[1], [2], [4]])).sum(axis=0)
     return [np.flatnonzero(classes == c) for c in range(CLASSES)]
 
@@ -337,7 +322,7 @@ def build_level(
     dtype : type
         float32 or float64.
     """
-    signs = reflections(kernel, half)
+    symmetry = find_symmetry(kernel, half)
 
     def inward(points: np.ndarray) -> np.ndarray:
         return tabulate(kernel, points)
@@ -345,58 +330,99 @@ def build_level(
     def outward(points: np.ndarray) -> np.ndarray:
         return tabulate(kernel, -points).transpose(0, 2, 1)
 
-    degree = degree or _choose_degree(inward, half, tolerance)
     shares = [share * tolerance**2 for share in _SHARES]
-    values, sources = (_fields(table, half, degree) for table in (inward, outward))
-    value_members = _members(degree, signs.values)
-    source_members = _members(degree, signs.sources)
-    value_modes = [_modes(values.coefficients[m]) for m in value_members]
-    source_modes = [_modes(sources.coefficients[m]) for m in source_members]
-    rank = max(_rank(modes, shares[1] / 2) for modes in (value_modes, source_modes))
-    value_basis = [_leading(vectors, rank) for vectors, _ in value_modes]
-    source_basis = [_leading(vectors, rank) for vectors, _ in source_modes]
-    inside = _octant(value_basis, value_members, degree, signs.values, 1)
-    outside = _octant(source_basis, source_members, degree, signs.sources, 2)
-    all_blocks = [
-        _blocks(inward, half, offset, inside, outside, values.scale, sources.scale)
-        for offset in OFFSETS
-    ]
+    degree = degree or _choose_degree(inward, symmetry.values, half, shares[0] / 2)
+    values = _side(inward, symmetry.values, half, degree, shares[1] / 2)
+    sources = values
+    if not symmetry.adjoint:
+        sources = _side(outward, symmetry.sources, half, degree, shares[1] / 2)
+    rank = max(_rank(side.modes, shares[1] / 2) for side in (values, sources))
+    value_basis, source_basis = values.basis(rank), sources.basis(rank)
+    inside = _octant(value_basis, values, 1)
+    outside = _octant(source_basis, sources, 2)
+    all_blocks = _all_blocks(
+        inward, half, (inside, values, value_basis), (outside, sources, source_basis)
+    )
     total = sum(_mirrors(t) * np.vdot(b, b) for t, b in zip(OFFSETS, all_blocks, strict=True))
-    translations: list[np.ndarray] = []
+    used: list[int] = []
+    matrices: list[np.ndarray] = []
     for offset, blocks in zip(OFFSETS, all_blocks, strict=True):
-        used = _used(blocks, shares[2] * total / (len(OFFSETS) * _mirrors(offset)))
-        rows = [
-            np.concatenate([blocks[p, q, :used, :used].T for q in meeting(p, offset)])
-            for p in range(CLASSES)
-        ]
-        translations.append(np.stack(rows).astype(dtype))
+        m = _used(blocks, shares[2] * total / (len(OFFSETS) * _mirrors(offset)))
+        rows = [blocks[p, q, :m, :m].T for p in range(CLASSES) for q in meeting(p, offset)]
+        matrices.append(np.stack(rows).astype(dtype).ravel())
+        used.append(m)
     return Level(
         degree,
-        tuple(source_basis),
-        tuple(value_basis),
-        tuple(source_members),
-        tuple(value_members),
+        source_basis,
+        value_basis,
+        tuple(sources.members),
+        tuple(values.members),
         sources.scale,
         values.scale,
-        tuple(translations),
+        np.concatenate(matrices),
+        np.append(0, np.cumsum([len(matrix) for matrix in matrices])),
+        np.array(used),
     )
 
 
-def _choose_degree(table: Callable, half: float, tolerance: float) -> int:
-    """Return the smallest degree that leaves out its share of the tolerance."""
+def _choose_degree(table: Callable, channels: Channels, half: float, budget: float) -> int:
+    """Return the smallest degree that leaves out no more than `budget` of the squares."""
     for degree in range(8, MAX_DEGREE + 1, 4):
-        square = _fields(table, half, degree, _FEW_SAMPLES).coefficients ** 2
-        channels = len(square) // degree**3
-        shells = np.bincount(_degrees(degree, channels).max(axis=0), square.sum(axis=1))
+        fields, _ = _fields(table, channels, half, degree, _FEW_SAMPLES * degree)
+        square = (fields**2).sum(axis=1)
+        shells = np.bincount(_degrees(degree, len(fields) // degree**3).max(axis=0), square)
         left_out = shells[::-1].cumsum()[::-1] / shells.sum()
-        enough = np.flatnonzero(left_out <= 0.5 * _SHARES[0] * tolerance**2)
+        enough = np.flatnonzero(left_out <= budget)
         if len(enough) and enough[0] < degree - 1:
             return int(enough[0])
     return MAX_DEGREE
 
 
-def _modes(fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the left singular vectors and the squares of the singular values."""
+def _side(table: Callable, channels: Channels, half: float, degree: int, budget: float) -> _Side:
+    """Return the modes of one side, but for some that weigh far less than `budget` of all."""
+    permutations = _permutations(channels, degree)
+    samples = -(-_SAMPLES * degree // len(permutations))
+    fields, scale = _fields(table, channels, half, degree, samples)
+    members = _members(degree, channels.parity)
+    class_of = np.empty(len(fields), np.int64)
+    for c in range(CLASSES):
+        class_of[members[c]] = c
+    negligible = 0.01 * budget * len(permutations) * np.vdot(fields, fields)
+    modes: list[tuple[np.ndarray, np.ndarray]] = []
+    for c in range(CLASSES):
+        own = members[c]
+        same = [(places[own], signs[own, None]) for places, signs in permutations]
+        done = next((s for s in same if (class_of[s[0]] < c).any()), None)
+        if done is None:
+            images = np.concatenate([signs * fields[places] for places, signs in same], axis=1)
+            modes.append(_modes(images, negligible))
+        else:
+            places, signs = done
+            image = class_of[places[0]]
+            vectors, weights = modes[image]
+            modes.append((signs * vectors[np.searchsorted(members[image], places)], weights))
+    return _Side(degree, channels, scale, members, modes)
+
+
+def _modes(fields: np.ndarray, negligible: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return left singular vectors and the squares of the singular values.
+
+    First of random mixtures of the fields, twice as many each time until what
+    they leave out is negligible.
+    """
+    rng = np.random.default_rng(0)
+    count = _FEW_MODES
+    while 2 * count < min(fields.shape):
+        mixtures = fields @ rng.standard_normal((fields.shape[1], count))
+        span, _ = np.linalg.qr(mixtures)
+        vectors, squares = _singular(span.T @ fields)
+        if squares[-1] * len(fields) <= negligible:
+            return span @ vectors, squares
+        count *= 2
+    return _singular(fields)
+
+
+def _singular(fields: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Not the eigenvectors of fields @ fields.T, where what is below 1e-8 of the largest is lost.
     vectors, values, _ = np.linalg.svd(np.transpose(np.linalg.qr(fields.T, mode="r")))
     return vectors, values**2
@@ -412,20 +438,56 @@ def _rank(modes: list[tuple[np.ndarray, np.ndarray]], budget: float) -> int:
     return -(-max(count, 1) // _GROUP) * _GROUP
 
 
-def _leading(vectors: np.ndarray, rank: int) -> np.ndarray:
-    """Return the first `rank` columns, and zeros if there are fewer."""
-    basis = np.zeros((len(vectors), rank))
-    basis[:, : vectors.shape[1]] = vectors[:, :rank]
-    return basis
+def _all_blocks(
+    table: Callable[[np.ndarray], np.ndarray],
+    half: float,
+    inside: tuple[_Octant, _Side, tuple[np.ndarray, ...]],
+    outside: tuple[_Octant, _Side, tuple[np.ndarray, ...]],
+) -> list[np.ndarray]:
+    """Return C_t for each of `OFFSETS`, once from the kernel and then by permutations of axes."""
+    rotations = [_rotations(side, basis) for _, side, basis in (inside, outside)]
+    axes = inside[1].channels.axes
+    blocks: dict[tuple[int, ...], np.ndarray] = {}
+    for offset in OFFSETS:
+        for n, permutation in enumerate(axes):
+            original = tuple(np.array(offset)[np.argsort(permutation)])
+            if original in blocks:
+                (rows, left), (columns, right) = (rotation[n] for rotation in rotations)
+                moved = blocks[original][rows][:, columns]
+                blocks[offset] = left[:, None] @ moved @ right.transpose(0, 2, 1)
+                break
+        else:
+            scales = inside[1].scale, outside[1].scale
+            blocks[offset] = _blocks(table, half, offset, inside[0], outside[0], *scales)
+    return [blocks[offset] for offset in OFFSETS]
+
+
+def _rotations(side: _Side, basis: tuple[np.ndarray, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return for each permutation of axes the class that each is made from, and how, (8, m, m)."""
+    embedded = np.zeros((CLASSES, sum(map(len, side.members)), basis[0].shape[1]))
+    class_of = np.empty(embedded.shape[1], np.int64)
+    for c in range(CLASSES):
+        embedded[c, side.members[c]] = basis[c]
+        class_of[side.members[c]] = c
+    out = []
+    for places, signs in _permutations(side.channels, side.degree):
+        classes = np.array([class_of[places[own]].max(initial=0) for own in side.members])
+        moved = [
+            functions.T @ (signs[own, None] * embedded[c, places[own]])
+            for functions, own, c in zip(basis, side.members, classes, strict=True)
+        ]
+        out.append((classes, np.stack(moved)))
+    return out
 
 
 def _used(blocks: np.ndarray, budget: float) -> int:
     """Return how many functions of each class matter across one offset."""
-    rank = blocks.shape[-1]
+    # Leading functions inside, and those left out of them, by sums over squares from the end.
     square = (blocks**2).sum(axis=(0, 1))
-    left_out = np.array([square.sum() - square[:n, :n].sum() for n in range(rank + 1)])
+    shells = np.tril(square).sum(axis=1) + np.triu(square, 1).sum(axis=0)
+    left_out = np.append(shells[::-1].cumsum()[::-1], 0.0)
     count = int(np.argmax(left_out <= budget))
-    return min(rank, -(-max(count, 1) // _GROUP) * _GROUP)
+    return min(len(square), -(-max(count, 1) // _GROUP) * _GROUP)
 
 
 class Transfer(NamedTuple):
@@ -443,7 +505,7 @@ class Transfer(NamedTuple):
 
 def make_transfer(child: Level, parent: Level) -> Transfer:
     """Return the operators between a level and the one above."""
-    dtype = child.translations[0].dtype
+    dtype = child.matrices.dtype
     up = _merge(
         (child.source_basis, child.source_members, child.source_scale, child.degree),
         (parent.source_basis, parent.source_members, parent.source_scale, parent.degree),

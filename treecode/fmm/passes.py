@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from treecode._jit import compiled, inlined, serial_driver, wide_vectors
-from treecode._lanes import lane_count, load, store
+from treecode._lanes import EIGHT, lane_count, load, load_eight, store, store_eight
 from treecode.fmm.octree import cell_at
 from treecode.pairs import accumulate, accumulate_row
+
+_TOGETHER = 64  # boxes of one product: with 16 or 32 K example 1 is a tenth slower
 
 
 @inlined
@@ -114,61 +116,59 @@ def evaluate_points(coefficients, points, ranges, centers, half, order, values):
                 values[order[i], c] += total
 
 
-@compiled
-def mirror_images(tree, boxes, offsets, sources, columns, counts):
-    """Find the sources of translations: for each offset the mirror images of it around each box.
+@inlined
+def _mirror_images(tree, box, offset, first, stop, images, out):
+    """Write where the mirror images of an offset lie, seen from a box; return if anywhere.
 
-    Parameters
-    ----------
-    tree : Octree
-    boxes : (n,) int64
-        Boxes of one level.
-    offsets : (T, 3) int64
-    sources : (T, n, 8) int64
-        Overwritten: rows of the sources among the boxes of the level, the number of those boxes
-        where there is none. Bit b of the last index mirrors the b-th direction in which the
-        offset is not zero.
-    columns : (T, n) int64
-        Overwritten: which of `boxes` have any source, for each offset.
-    counts : (T,) int64
-        Overwritten: how many.
+    They are rows among the boxes of the level, the number of those where there is no source. Bit b
+    of the image mirrors the b-th direction in which the offset is not zero.
     """
-    level = tree.level[boxes[0]]
-    first, stop = tree.first[level], tree.first[level + 1]
-    sign = np.empty(3, np.int64)
-    for t in range(len(offsets)):
-        images = 1
-        for d in range(3):
-            images *= 2 if offsets[t, d] > 0 else 1
-        counts[t] = 0
-        for i in range(len(boxes)):
-            box = boxes[i]
-            found = False
-            for image in range(images):
-                bits = image
-                for d in range(3):
-                    sign[d] = 1
-                    if offsets[t, d] > 0:
-                        sign[d] = 1 - 2 * (bits & 1)
-                        bits >>= 1
-                # A target at +t from the source sees the source at -t.
-                source = cell_at(
-                    tree.octant[box],
-                    -sign[0] * offsets[t, 0],
-                    -sign[1] * offsets[t, 1],
-                    -sign[2] * offsets[t, 2],
-                    tree.parent[box],
-                    tree.neighbour,
-                    tree.child,
-                )
-                if source >= 0 and tree.source[source, 1] > tree.source[source, 0]:
-                    found = True
-                    sources[t, counts[t], image] = source - first
-                else:
-                    sources[t, counts[t], image] = stop - first
-            if found:
-                columns[t, counts[t]] = i
-                counts[t] += 1
+    found = False
+    for image in range(images):
+        dx, dy, dz = offset[0], offset[1], offset[2]
+        bits = image
+        if dx > 0:
+            dx *= 1 - 2 * (bits & 1)
+            bits >>= 1
+        if dy > 0:
+            dy *= 1 - 2 * (bits & 1)
+            bits >>= 1
+        if dz > 0:
+            dz *= 1 - 2 * (bits & 1)
+        # A target at +t from the source sees the source at -t.
+        source = cell_at(
+            tree.octant[box], -dx, -dy, -dz, tree.parent[box], tree.neighbour, tree.child
+        )
+        if source >= 0 and tree.source[source, 1] > tree.source[source, 0]:
+            found = True
+            out[image] = source - first
+        else:
+            out[image] = stop - first
+    return found
+
+
+@inlined
+def _nonzero(offset):
+    """Return the directions in which an offset is not zero, in bits, and its mirror images."""
+    mask, images = 0, 1
+    for d in range(3):
+        if offset[d] > 0:
+            mask |= 1 << d
+            images *= 2
+    return mask, images
+
+
+@compiled
+def has_far_sources(tree, boxes, offsets):
+    """Tell whether anything acts on some boxes of one level by translations."""
+    out = np.empty(8, np.int64)
+    for box in boxes:
+        level = tree.level[box]
+        first, stop = tree.first[level], tree.first[level + 1]
+        for offset in offsets:
+            if _mirror_images(tree, box, offset, first, stop, _nonzero(offset)[1], out):
+                return True
+    return False
 
 
 @inlined
@@ -182,79 +182,104 @@ def _spread_bits(bits, mask):
     return out
 
 
-@compiled
-def combine(expansions, sources, count, mask, used, out):
-    """Combine mirror images to what each class of values needs.
+@inlined
+def _split(rows, a, b, change_a, change_b, used, place, out, at):
+    """Write the sums of two rows, and the differences, to what each class of values needs."""
+    m = rows.shape[1] // 8
+    for q in range(8):
+        p, r = q ^ change_a, q ^ change_b
+        for j in range(0, used, EIGHT):
+            x, y = load_eight(rows, a, q * m + j), load_eight(rows, b, q * m + j)
+            store_eight(out, p, at + place[p, q] + j, x + y)
+            store_eight(out, r, at + place[r, q] + j, x - y)
 
-    The work is sums and differences of rows, then copies of parts of them: whole lanes, since
-    loops as short as `used` are not vectorised. A copy may write up to a lane too much, over
-    what is written next, or over the room behind the last row.
+
+@inlined
+def _combine(expansions, sources, images, used, place, change, rows, out, at):
+    """Combine mirror images to what each class of values needs: sums and differences of rows."""
+    if images == 2:
+        _split(expansions, sources[0], sources[1], 0, change[1], used, place, out, at)
+        return
+    lanes = lane_count(expansions)
+    for image in range(0, images, 2):
+        a, b = sources[image], sources[image + 1]
+        for j in range(0, expansions.shape[1], lanes):
+            x, y = load(expansions, a, j), load(expansions, b, j)
+            store(rows, image, j, x + y)
+            store(rows, image + 1, j, x - y)
+    if images == 8:
+        for image in (0, 1, 4, 5):
+            for j in range(0, expansions.shape[1], lanes):
+                x, y = load(rows, image, j), load(rows, image + 2, j)
+                store(rows, image, j, x + y)
+                store(rows, image + 2, j, x - y)
+    half = images // 2
+    for image in range(half):
+        b = image + half
+        _split(rows, image, b, change[image], change[b], used, place, out, at)
+
+
+@compiled
+def translate(tree, boxes, offsets, matrices, begin, used, expansions, out, pairs):
+    """Add what cubes of the same size do in some boxes of one level (M2L).
+
+    For each offset the sources are combined by classes, for some boxes at a time that stay near the
+    processor, and multiplied.
 
     Parameters
     ----------
-    expansions : (n + 1, 8 * m) float32 or float64
+    tree : Octree
+    boxes : (n,) int64
+    offsets : (T, 3) int64
+    matrices, begin, used :
+        See `operators.Level`.
+    expansions : (boxes of the level + 1, 8 * m) float32 or float64
         The last row is zero.
-    sources : (n, 8) int64
-        Of one offset, from `mirror_images`.
-    count : int
-        Columns to combine.
-    mask : int
-        Directions in which the offset is not zero.
-    used : int
-        Functions of each class that are used.
-    out : (8, count * classes that meet * used + lanes)
-        Overwritten, in rows of ``classes that meet * used``.
+    out : (boxes of the level, 8, m) float32 or float64
+    pairs : (n,) int64
+        Overwritten: offsets that each box has sources at.
     """
     wide_vectors()
+    level = tree.level[boxes[0]]
+    first, stop = tree.first[level], tree.first[level + 1]
     size = expansions.shape[1]
-    m = size // 8
-    lanes = lane_count(expansions)
-    images = 1
-    for d in range(3):
-        images *= 1 + (mask >> d & 1)
-    rows = np.empty((images, size + lanes), expansions.dtype)
-    place = np.empty((8, 8), np.int64)  # of class q among those that meet p
-    for p in range(8):
-        met = 0
-        for q in range(8):
-            place[p, q] = met * used
-            met += (p ^ q) & ~mask == 0
-    depth = images * used
-    change = np.empty(images, np.int64)
-    for image in range(images):
-        change[image] = _spread_bits(image, mask)
-    for i in range(count):
-        for image in range(0, images, 2):
-            a, b = sources[i, image], sources[i, image + 1]
-            for j in range(0, size, lanes):
-                x, y = load(expansions, a, j), load(expansions, b, j)
-                store(rows, image, j, x + y)
-                store(rows, image + 1, j, x - y)
-        step = 2
-        while step < images:
-            for image in range(images):
-                if image & step == 0:
-                    for j in range(0, size, lanes):
-                        x, y = load(rows, image, j), load(rows, image | step, j)
-                        store(rows, image, j, x + y)
-                        store(rows, image | step, j, x - y)
-            step *= 2
-        for q in range(8):
-            for image in range(images):
-                p = q ^ change[image]
-                for j in range(0, used, lanes):
-                    store(out, p, i * depth + place[p, q] + j, load(rows, image, q * m + j))
-
-
-@compiled
-def add_columns(products, columns, out):
-    """Add (8, n, used) products to the first functions of rows of `out`, (rows, 8, m)."""
-    for p in range(8):
-        for i in range(len(columns)):
-            row = out[columns[i], p]
-            product = products[p, i]
-            for j in range(products.shape[2]):
-                row[j] += product[j]
+    rows = np.empty((8, size), expansions.dtype)
+    combined = np.empty(8 * _TOGETHER * size, expansions.dtype)
+    products = np.empty(_TOGETHER * (size // 8), expansions.dtype)
+    sources, columns = np.empty(8, np.int64), np.empty(_TOGETHER, np.int64)
+    place, change = np.empty((8, 8), np.int64), np.empty(8, np.int64)
+    for i in range(len(pairs)):
+        pairs[i] = 0
+    for t in range(len(offsets)):
+        mask, images = _nonzero(offsets[t])
+        depth = images * used[t]
+        matrix = matrices[begin[t] : begin[t + 1]].reshape((8, depth, used[t]))
+        left = combined[: 8 * _TOGETHER * depth].reshape((8, _TOGETHER * depth))
+        for p in range(8):
+            met = 0
+            for q in range(8):
+                place[p, q] = met * used[t]  # of class q among those that meet p
+                met += (p ^ q) & ~mask == 0
+        for image in range(images):
+            change[image] = _spread_bits(image, mask)
+        count = 0
+        for i in range(len(boxes)):
+            if _mirror_images(tree, boxes[i], offsets[t], first, stop, images, sources):
+                at = count * depth
+                _combine(expansions, sources, images, used[t], place, change, rows, left, at)
+                columns[count] = boxes[i] - first
+                pairs[i] += 1
+                count += 1
+            if count == _TOGETHER or (count and i == len(boxes) - 1):
+                product = products[: count * used[t]].reshape((count, used[t]))
+                for p in range(8):
+                    np.dot(left[p, : count * depth].reshape((count, depth)), matrix[p], product)
+                    for k in range(count):
+                        row = out[columns[k]]
+                        for j in range(0, used[t], EIGHT):
+                            total = load_eight(row, p, j) + load_eight(product, k, j)
+                            store_eight(row, p, j, total)
+                count = 0
 
 
 @inlined

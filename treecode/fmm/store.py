@@ -19,8 +19,8 @@ from treecode._jit import kernel_key
 from treecode.fmm.operators import Level, build_level
 from treecode.kernels.base import Kernel
 
-MEMORY_BYTES = 2**30
-DISK_BYTES = 2**30
+MEMORY_BYTES = 2**31
+DISK_BYTES = 2**32
 
 _memory: OrderedDict[str, Level] = OrderedDict()
 _lock = threading.Lock()
@@ -59,7 +59,7 @@ def get_level(
 
 
 def _bytes(level: Level) -> int:
-    return sum(array.nbytes for array in level.translations)
+    return level.matrices.nbytes
 
 
 def _read(path: Path) -> Level | None:

@@ -1,0 +1,159 @@
+"""What reflections and permutations of the axes do to a kernel, found from its values alone."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from treecode._jit import serial_driver
+from treecode.kernels.base import Kernel
+from treecode.pairs import accumulate
+
+_SAME = 1e-9  # relative to the largest component at its distance
+
+
+class Channels(NamedTuple):
+    """How the components of values, or of sources, answer to reflections and permutations.
+
+    Attributes
+    ----------
+    parity : (3, channels) of +-1
+        Sign under each reflection.
+    axes : (permutations, 3) int64
+        Permutations P, (P r)[d] = r[axes[d]], under which the components of the kernel change
+        places and signs; the identity first.
+    becomes : (permutations, channels) int64
+        At P r a component is this one at r,
+    signs : (permutations, channels) of +-1
+        times this.
+    """
+
+    parity: np.ndarray
+    axes: np.ndarray
+    becomes: np.ndarray
+    signs: np.ndarray
+
+
+class Symmetry(NamedTuple):
+    """The symmetries of a kernel K(r).
+
+    Attributes
+    ----------
+    values, sources : Channels
+    adjoint : bool
+        Whether K(-r) is the transpose of K(r), so that sources and values are alike.
+    """
+
+    values: Channels
+    sources: Channels
+    adjoint: bool
+
+
+def tabulate(kernel: Kernel, points: np.ndarray) -> np.ndarray:
+    """Return K(r), (n, value_size, weight_size), at points r, (3, n)."""
+    n, columns = points.shape[1], kernel.weight_size
+    padded = np.zeros((3, n + 64))
+    padded[:, :n] = points
+    out = np.zeros((columns, kernel.value_size, n))
+    _tabulate(kernel, padded, np.zeros((3, 1)), np.eye(columns), out)
+    return out.transpose(2, 1, 0)
+
+
+@serial_driver
+def _tabulate(kernel, points, origin, units, out):
+    for c in range(out.shape[0]):
+        accumulate(
+            kernel, points, 0, out.shape[2], origin, units[:, c : c + 1].copy(), 0, 1, out[c]
+        )
+
+
+def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
+    """Find how a kernel behaves under reflections and permutations of the axes.
+
+    Beside the size of the cubes larger ones are looked at: where the kernel hardly varies, what
+    couples its channels is lost, and with it the sign of one relative to another.
+
+    Raises
+    ------
+    ValueError
+        If a reflection does more than change signs of components.
+    """
+    points = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))
+    lengths = half * 2.0 ** np.arange(0.0, 60.0, 4.0)
+
+    def sample(moved: np.ndarray) -> np.ndarray:
+        tables = (tabulate(kernel, length * moved) for length in lengths)
+        return np.concatenate([table / np.abs(table).max() for table in tables])
+
+    table = sample(points)
+    parity = [
+        _reflected(kernel, table, sample(np.where(np.arange(3)[:, None] == d, -points, points)))
+        for d in range(3)
+    ]
+    axes, moved = [], []
+    for permutation in itertools.permutations(range(3)):
+        found = _permuted(table, sample(points[list(permutation)]))
+        if found is not None:
+            axes.append(permutation)
+            moved.append(found)
+    values, sources = (
+        Channels(
+            np.array([signs[side] for signs in parity]),
+            np.array(axes),
+            np.array([becomes[side] for becomes, _ in moved]),
+            np.array([signs[side] for _, signs in moved]),
+        )
+        for side in range(2)
+    )
+    adjoint = all(np.array_equal(*pair) for pair in zip(values, sources, strict=True)) and bool(
+        np.abs(sample(-points).transpose(0, 2, 1) - table).max() <= _SAME
+    )
+    return Symmetry(values, sources, adjoint)
+
+
+def _reflected(
+    kernel: Kernel, table: np.ndarray, mirrored: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the signs of values and sources that a reflection changes."""
+    signs = _split_signs(table, mirrored)
+    if np.abs(mirrored - np.outer(*signs) * table).max() > _SAME:
+        raise ValueError(
+            "backend must be 'kitc' or 'direct' for a kernel that is not isotropic: "
+            f"'fmm' needs components that a reflection leaves alone or negates, got {kernel!r}"
+        )
+    return signs
+
+
+def _permuted(table: np.ndarray, moved: np.ndarray) -> tuple[tuple, tuple] | None:
+    """Return which components change places, and their signs; None if they do more than that."""
+    # Components are known by their sizes, whatever the order of what they meet.
+    becomes = []
+    for axis in (1, 2):
+        here, there = (np.sort(np.abs(np.swapaxes(t, 1, axis)), axis=2) for t in (moved, table))
+        becomes.append(
+            linear_sum_assignment(np.abs(here[:, :, None] - there[:, None]).max(axis=(0, 3)))[1]
+        )
+    original = table[:, becomes[0]][:, :, becomes[1]]
+    signs = _split_signs(original, moved)
+    if np.abs(moved - np.outer(*signs) * original).max() > _SAME:
+        return None
+    return tuple(becomes), signs
+
+
+def _split_signs(table: np.ndarray, changed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return signs of values and sources whose products are those of changed / table."""
+    sign = np.sign((table * changed).sum(axis=0)) * (np.abs(table).max(axis=0) > _SAME)
+    values, sources = np.ones(sign.shape[0]), np.ones(sign.shape[1])
+    known_values, known_sources = np.zeros(len(values), bool), np.zeros(len(sources), bool)
+    while not known_values.all():
+        known_values[np.argmin(known_values)] = True  # of parts that do not meet each is free
+        for _ in range(len(values) + len(sources)):
+            for i, j in np.argwhere(sign):
+                if known_values[i] and not known_sources[j]:
+                    sources[j], known_sources[j] = sign[i, j] * values[i], True
+                elif known_sources[j] and not known_values[i]:
+                    values[i], known_values[i] = sign[i, j] * sources[j], True
+    return values, sources
