@@ -33,11 +33,13 @@ def name(backend: str) -> str:
 
 
 def envelope(rows: list[Row]) -> list[Row]:
-    """Return the rows that no other beats in both error and seconds, by falling error."""
+    """Return the rows that no other beats in both error and seconds, by falling error.
+
+    Direct sums have no error.
+    """
     best: list[Row] = []
-    measured = [row for row in rows if row["error"] is not None]
-    for row in sorted(measured, key=lambda row: (row["seconds"], row["error"])):
-        if not best or row["error"] < best[-1]["error"]:
+    for row in sorted(rows, key=lambda row: (row["seconds"], row["error"] or 0.0)):
+        if not best or (row["error"] or 0.0) < (best[-1]["error"] or 0.0):
             best.append(row)
     return best
 

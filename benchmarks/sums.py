@@ -24,7 +24,7 @@ from benchmarks.rows import Row
 from treecode.fmm import store
 
 SAMPLES = 2000  # targets at which errors are taken, as in K 8.1.2
-DIRECT_PAIRS = 7e9  # of a direct sum; beyond, sampled targets stand for all
+DIRECT_PAIRS, SAMPLED_PAIRS = 7e9, 3e9  # of direct sums; beyond the first, the second stand for all
 REPEATS, ENOUGH = 3, 6.0  # a sum is repeated so often, if that takes no more than so many seconds
 FEW = 4000  # points with which compiled code is warmed up
 HAS_FMM3D = importlib.util.find_spec("fmm3dpy") is not None
@@ -81,6 +81,16 @@ class Fmm3d:
         return {"seconds": {}}
 
 
+def draw(n: int, count: int) -> np.ndarray:
+    """Return random rows out of n; of fewer and of more of them the first agree."""
+    return np.random.default_rng(1).permutation(n)[:count]
+
+
+def make_plan(kernel: tc.Kernel, backend: str, **options: Any) -> Any:
+    """Return a plan of treecode's, or what stands for one."""
+    return Fmm3d(**options) if backend == "fmm3d" else tc.Plan(kernel, backend, **options)
+
+
 @lru_cache(maxsize=1)
 def make_problem(points: str, size: int, epsilon: float | None, singular: bool = False) -> Problem:
     """Return a point set of the papers, or one of `point_sets.uneven`, with its kernel."""
@@ -101,7 +111,7 @@ def make_problem(points: str, size: int, epsilon: float | None, singular: bool =
     else:
         sources, strengths = point_sets.uneven(points, size, 0)
         kernel = tc.RegularizedStokeslet(1e-3 * float(np.ptp(sources)))
-    rows = np.random.default_rng(1).permutation(len(sources))[:SAMPLES]
+    rows = draw(len(sources), SAMPLES)
     return Problem(tc.Stokeslet() if singular else kernel, sources, strengths, rows)
 
 
@@ -141,24 +151,24 @@ class Sum:
         **options: Any,
     ) -> None:
         self.problem = make_problem(points, size, epsilon, backend == "fmm3d")
-        kernel, sources = self.problem.kernel, self.problem.points
-        self.backend, n = backend, len(sources)
-        wanted = int(DIRECT_PAIRS / n) if backend == "direct" else SAMPLES if sampled else n
-        self.share = min(wanted / n, 1.0)
-        self.targets = sources[self._others(wanted)] if wanted < n else None
-        make: Callable[..., Any] = Fmm3d if backend == "fmm3d" else tc.Plan
-        arguments = () if backend == "fmm3d" else (kernel, backend)
-        few = self.problem.points[:FEW], self.problem.strengths[:FEW]
-        small = {"degree": 2, "leaf_size": 40} if backend != "fmm3d" else {}
-        self.plan = make(*arguments, **options)
+        self.backend, n = backend, len(self.problem.points)
+        wanted = SAMPLES if sampled else n
+        if backend == "direct" and n * n > DIRECT_PAIRS:
+            wanted = int(SAMPLED_PAIRS / n)
+        self.share = min(wanted / n, 1.0)  # of all targets
+        self.targets = self.problem.points[draw(n, wanted)] if wanted < n else None
+        self.plan = make_plan(self.problem.kernel, backend, **options)
         with no_operators_kept():
-            make(*arguments, **options | small).set_points(few[0]).execute(few[1])
-            self.plan.set_points(sources, self.targets)
+            self._warm_up(options)
+            self.plan.set_points(self.problem.points, self.targets)
         self.build = self.plan.info()["seconds"].get("operators", 0.0)
 
-    def _others(self, count: int) -> np.ndarray:
-        """Return `count` targets, those of the error first."""
-        return np.random.default_rng(1).permutation(len(self.problem.points))[:count]
+    def _warm_up(self, options: dict[str, Any]) -> None:
+        """Compile, by a small sum with every kind of step."""
+        if self.backend != "fmm3d":
+            small = options | {"degree": 2, "leaf_size": 40}
+            plan = make_plan(self.problem.kernel, self.backend, **small)
+            plan.set_points(self.problem.points[:FEW]).execute(self.problem.strengths[:FEW])
 
     def lap(self) -> tuple[float, float]:
         """Return the seconds of setting the points and of summing."""

@@ -53,10 +53,10 @@ def test_rows_of_another_machine_do_not_count(tmp_path, monkeypatch):
 
 
 def test_envelope():
-    """Of five runs one is beaten in both and one in time at the same error; one has no error."""
-    runs = [(1e-3, 1.0), (1e-3, 2.0), (1e-5, 3.0), (1e-4, 4.0), (1e-6, 9.0), (None, 0.1)]
+    """One is beaten in time at the same error, one in both, and one by the direct sum."""
+    runs = [(1e-3, 1.0), (1e-3, 2.0), (1e-5, 3.0), (1e-4, 4.0), (1e-6, 9.0), (None, 8.0)]
     rows = [{"error": error, "seconds": seconds} for error, seconds in runs]
-    assert plots.envelope(rows) == [rows[0], rows[2], rows[4]]
+    assert plots.envelope(rows) == [rows[0], rows[2], rows[5]]
 
 
 def test_suite_is_whole(tmp_path, monkeypatch):

@@ -25,7 +25,7 @@ def cases(quick: bool) -> Iterator[Row]:
     yield from ({"rods": rods} for rods in ((2, 3) if quick else (5, 10, 15)))
 
 
-def measure(rods: int) -> Row:
+def step_carpet(rods: int) -> Row:
     """Take some steps after a first one, which compiles and estimates the spectral radius."""
     numba.set_num_threads(1)
     options = {"rows": rods, "columns": rods, "nodes": point_sets.ROD_POINTS}
@@ -44,6 +44,9 @@ def measure(rods: int) -> Row:
         "seconds": seconds / STEPS,
         "outside": (seconds - (sim.mobility.seconds - inside)) / STEPS,
     }
+
+
+measure = step_carpet
 
 
 def table(rows: list[Row]) -> str:

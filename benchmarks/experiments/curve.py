@@ -98,7 +98,7 @@ def plot(rows: list[Row], figure: Any) -> None:
     for axes, (n, same) in zip(
         figure.subplots(1, len(groups), squeeze=False)[0], groups, strict=True
     ):
-        best = plots.envelope(regularized(same))
+        best = [row for row in plots.envelope(regularized(same)) if row["error"]]
         axes.plot(
             [row["error"] for row in best],
             [row["seconds"] for row in best],
