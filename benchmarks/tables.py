@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from benchmarks.rows import Row
+
+Printed = tuple[float | None, float | None]
+"""Seconds and error, None where a paper prints none."""
 
 
 def table(header: Iterable[str], lines: Iterable[Iterable[str]]) -> str:
@@ -32,6 +35,11 @@ def seconds(row: Row, key: str = "seconds") -> str:
     return ("~" if row["extrapolated"] else "") + figure(row[key])
 
 
+def build(row: Row) -> str:
+    """Return the seconds in which operators were built, "" where there are none."""
+    return figure(row["build"]) if row["backend"] == "fmm" else ""
+
+
 def ratio(printed: float | None, ours: float) -> str:
     """Return how many times ours goes into the printed value."""
     return "" if printed is None else figure(printed / ours, 2)
@@ -41,3 +49,26 @@ def options(row: Row) -> str:
     """Return the parameters of a backend."""
     names = {"theta": "theta", "degree": "p" if row["backend"] == "taylor" else "n", "tol": "tol"}
     return ", ".join(f"{short} {row[name]:g}" for name, short in names.items() if name in row)
+
+
+def beside(rows: list[Row], name: str, paper: Callable[[Row], Printed]) -> str:
+    """Return a table of sums beside what a paper prints for them."""
+    header = "points,N,backend,parameters,E,*: E,build (s),seconds,*: seconds,* / ours"
+    lines = []
+    for row in rows:
+        theirs, their_error = paper(row)
+        lines.append(
+            [
+                row["points"],
+                f"{row['n']:,}",
+                row["backend"],
+                options(row),
+                error(row["error"]),
+                error(their_error),
+                build(row),
+                seconds(row),
+                figure(theirs),
+                ratio(theirs, row["seconds"]),
+            ]
+        )
+    return table(header.replace("*", name).split(","), lines)

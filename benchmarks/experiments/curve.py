@@ -77,7 +77,7 @@ def _lines(rows: list[Row]) -> Iterator[list[str]]:
                 plots.name(row["backend"]) + star,
                 tables.options(row),
                 tables.error(row["error"]),
-                tables.figure(row["build"]) if row["backend"] == "fmm" else "",
+                tables.build(row),
                 tables.figure(row["setting"]),
                 tables.seconds(row),
                 tables.figure(row["near"]),

@@ -32,27 +32,16 @@ def cases(quick: bool) -> Iterator[Row]:
 
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
-    header = "N,backend,parameters,E,K: E,build (s),seconds,K: seconds,K / ours"
-    return tables.table(header.split(","), (_line(row, printed.K1.get(row["n"])) for row in rows))
+    return tables.beside(rows, "K", lambda row: of_paper(row, printed.K1, row["n"]))
 
 
-def _line(row: Row, paper: printed.Printed | None) -> list[str]:
-    theirs = error = None
-    if paper and row["backend"] == "direct":
-        theirs = paper.direct
-    elif paper and row.get("degree") == 7:
-        theirs, error = paper.treecode, paper.error
-    return [
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
-        tables.error(row["error"]),
-        tables.error(error),
-        tables.figure(row["build"]) if row["backend"] == "fmm" else "",
-        tables.seconds(row),
-        tables.figure(theirs),
-        tables.ratio(theirs, row["seconds"]),
-    ]
+def of_paper(row: Row, paper: dict[int, printed.Printed], size: int) -> tables.Printed:
+    """Return seconds and error that K prints: of direct sums, and of `kitc` at n = 7."""
+    if size in paper and row["backend"] == "direct":
+        return paper[size].direct, None
+    if size in paper and (row["backend"], row.get("degree")) == ("kitc", 7):
+        return paper[size].treecode, paper[size].error
+    return None, None
 
 
 def plot(rows: list[Row], figure: Any) -> None:

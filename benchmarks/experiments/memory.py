@@ -90,7 +90,7 @@ def plot(rows: list[Row], figure: Any) -> None:
             plots.printed(axes, sizes, each, backend, f"papers, {backend}")
         plots.points_axis(axes, (row["n"] for row in mine))
         axes.set(title=points)
-    panels[0].set(ylabel="bytes a point", ylim=(0, None))
+    panels[0].set(yscale="log", ylabel="bytes a point")
     plots.finish(figure)
 
 

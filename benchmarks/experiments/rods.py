@@ -33,29 +33,7 @@ def cases(quick: bool) -> Iterator[Row]:
 
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
-    header = "rods,N,backend,parameters,E,K: E,build (s),seconds,K: seconds,K / ours"
-    return tables.table(header.split(","), map(_line, rows))
-
-
-def _line(row: Row) -> list[str]:
-    paper = printed.K5.get(row["size"])
-    theirs = error = None
-    if paper and row["backend"] == "direct":
-        theirs = paper.direct
-    elif paper:
-        theirs, error = paper.treecode, paper.error
-    return [
-        f"{row['size']} x {row['size']}",
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
-        tables.error(row["error"]),
-        tables.error(error),
-        tables.figure(row["build"]) if row["backend"] == "fmm" else "",
-        tables.seconds(row),
-        tables.figure(theirs),
-        tables.ratio(theirs, row["seconds"]),
-    ]
+    return tables.beside(rows, "K", lambda row: growth.of_paper(row, printed.K5, row["size"]))
 
 
 def plot(rows: list[Row], figure: Any) -> None:

@@ -45,27 +45,10 @@ def cases(quick: bool) -> Iterator[Row]:
 
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
-    header = "points,N,backend,parameters,E,T: E,build (s),seconds,T: seconds,T / ours"
-    return tables.table(header.split(","), map(_line, rows))
+    return tables.beside(rows, "T", _paper)
 
 
-def _line(row: Row) -> list[str]:
-    theirs, error = _paper(row)
-    return [
-        row["points"],
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
-        tables.error(row["error"]),
-        tables.error(error),
-        tables.figure(row["build"]) if row["backend"] == "fmm" else "",
-        tables.seconds(row),
-        tables.figure(theirs),
-        tables.ratio(theirs, row["seconds"]),
-    ]
-
-
-def _paper(row: Row) -> tuple[float | None, float | None]:
+def _paper(row: Row) -> tables.Printed:
     """Return the seconds and the error that T prints for a row."""
     if row["backend"] == "taylor":
         return printed.taylor(row["size"], row["theta"], row["degree"])

@@ -39,7 +39,7 @@ def _line(row: Row, rows: list[Row]) -> list[str]:
         row["backend"],
         tables.options(row),
         tables.error(row["error"]),
-        tables.figure(row["build"]) if row["backend"] == "fmm" else "",
+        tables.build(row),
         tables.seconds(row),
         tables.figure(beside_cube(row, rows)),
     ]
