@@ -43,12 +43,12 @@ K3 = {0.005: 7.68e-6, 0.01: 2.08e-5, 0.02: 3.17e-5, 0.04: 2.78e-5, 0.08: 1.93e-5
 # K tables 4 (organisms, 640K) and 5 (80 x 80 rods), T table 5 (cube, 1000K, theta 0.5, p = 6):
 # seconds on one core and on two
 THREADS = {
-    ("organisms", "direct"): (2249.71, 1123.72),
-    ("organisms", "kitc"): (149.75, 75.01),
-    ("rods", "direct"): (15651.61, 7907.10),
-    ("rods", "kitc"): (720.87, 371.91),
-    ("cube", "direct"): (9707.0, 4911.4),
-    ("cube", "taylor"): (336.6, 176.3),
+    ("organisms", 640_000, "direct"): (2249.71, 1123.72),
+    ("organisms", 640_000, "kitc"): (149.75, 75.01),
+    ("rods", 80, "direct"): (15651.61, 7907.10),
+    ("rods", 80, "kitc"): (720.87, 371.91),
+    ("cube", 1_000_000, "direct"): (9707.0, 4911.4),
+    ("cube", 1_000_000, "taylor"): (336.6, 176.3),
 }
 
 # K figure 5 and table 5, by rods on a side

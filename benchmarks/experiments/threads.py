@@ -43,7 +43,7 @@ def table(rows: list[Row]) -> str:
 
 
 def _line(row: Row) -> list[str]:
-    one, two = printed.THREADS.get((row["points"], row["backend"]), (None, None))
+    one, two = _paper(row)
     return [
         row["points"],
         f"{row['n']:,}",
@@ -60,6 +60,11 @@ def _line(row: Row) -> list[str]:
     ]
 
 
+def _paper(row: Row) -> tuple[float | None, float | None]:
+    """Return the seconds printed for one core and for two."""
+    return printed.THREADS.get((row["points"], row["size"], row["backend"]), (None, None))
+
+
 def plot(rows: list[Row], figure: Any) -> None:
     """Draw a bar for the efficiency of each sum."""
     figure.set_size_inches(plots.WIDTH, 1.5 + 0.35 * len(rows))
@@ -67,7 +72,7 @@ def plot(rows: list[Row], figure: Any) -> None:
     theirs: dict[str, list[tuple[float, int]]] = {}
     for i, row in enumerate(rows):
         axes.barh(i, 100 * row["efficiency"], color=plots.COLORS[row["backend"]])
-        one, two = printed.THREADS.get((row["points"], row["backend"]), (None, None))
+        one, two = _paper(row)
         if one and two:
             theirs.setdefault(row["backend"], []).append((50 * one / two, i))
     for values in theirs.values():
