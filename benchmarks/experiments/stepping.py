@@ -84,7 +84,7 @@ def run_scene(scene: str, method: str, steps: int = 0, tolerance: float = 1e-4) 
     """Run a scene with fixed steps or a tolerance, and again while that is short."""
     numba.set_num_threads(1)
     what = SCENES[scene]
-    dt = what.t_end / steps if steps else "auto"
+    dt: Any = what.t_end / steps if steps else "auto"
     integrator = mrs.Integrator(method, dt=dt, tolerance=tolerance)
     exact = _reference(scene)
     sims: list[mrs.Simulation] = []
