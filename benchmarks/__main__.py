@@ -15,6 +15,8 @@ import time
 from pathlib import Path
 from types import ModuleType
 
+from threadpoolctl import threadpool_limits
+
 from benchmarks.experiments import ALL
 from benchmarks.rows import Row, Rows
 
@@ -83,7 +85,8 @@ def main(arguments: list[str] | None = None) -> None:
     for name in options.names or ALL:
         experiment = ALL[name]
         if not options.draw:
-            measure(name, experiment, rows, options.quick)
+            with threadpool_limits(1):  # of BLAS; those of the sums are the experiment's
+                measure(name, experiment, rows, options.quick)
         found = find(experiment, rows, options.quick, anywhere=options.draw)
         if found:
             write(name, experiment, found, folder)

@@ -1,6 +1,6 @@
 """Time stepping: error at a fixed time against wall time
 
-Three scenes, direct sums, one thread: the stiff rod of Olson, Lim & Cortez after 20 ms; 60 swimmers
+Three scenes, direct sums, one thread: the stiff rod of Olson, Lim & Cortez after 10 ms; 60 swimmers
 that meet, after 2 s; nine beating cilia after half a beat. Fixed steps for the explicit methods,
 tolerances for those that estimate their error. The error is the root mean square distance of points
 from those of a run of `rk4` with much smaller steps, in lengths of a body.
@@ -37,14 +37,14 @@ SCENES = {
     "rod": Scene(
         "rod_relaxation",
         {},
-        0.02,
+        0.01,
         75 * np.pi / 40,
         {
-            "euler": (3000, 6000, 12000),
-            "heun": (3000, 6000, 12000),
-            "rk4": (2500, 5000),
+            "euler": (1500, 3000, 6000),
+            "heun": (1500, 3000, 6000),
+            "rk4": (1250, 2500),
         },
-        10_000,
+        5000,
     ),
     "swimmers": Scene(
         "swimmer_suspension",
