@@ -1,9 +1,9 @@
 """Time stepping: error at a fixed time against wall time
 
 Three scenes, direct sums, one thread: the stiff rod of Olson, Lim & Cortez after 10 ms; 60 swimmers
-that meet, after 2 s; nine beating cilia after half a beat. Fixed steps for the explicit methods,
-tolerances for those that estimate their error. The error is the root mean square distance of points
-from those of a run of `rk4` with much smaller steps, in lengths of a body.
+that meet, after 2 s; nine beating cilia after a quarter of a beat. Fixed steps for the explicit
+methods, tolerances for those that estimate their error. The error is the root mean square distance
+of points from those of a run of `rk4` with much smaller steps, in lengths of a body.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ SCENES = {
     "cilia": Scene(
         "cilia_array",
         {"rows": 3, "columns": 3, "nodes": 41},
-        0.5,
+        0.25,
         6.0,
-        {"euler": (200, 800, 3200), "heun": (200, 400, 800), "rk4": (150, 300, 600)},
-        2400,
+        {"euler": (700, 1400, 2800), "heun": (700, 1400, 2800), "rk4": (500, 1000)},
+        2000,
     ),
 }
 TOLERANCES = {
