@@ -1,6 +1,6 @@
 """Pairs per second of direct summation on one thread, beside a plain C++ loop in the same run.
 
-    python benchmarks/direct.py [--points 16384 80000 640000] [--repeats 7]
+    python -m benchmarks.direct [--points 16384 80000 640000] [--repeats 7]
 
 Needs g++. The two codes take turns, so that a machine that changes speed slows both.
 """

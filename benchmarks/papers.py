@@ -1,6 +1,6 @@
 """Our error beside the error that the papers print, at the papers' parameters, as Markdown.
 
-    python benchmarks/papers.py [--quick] [--only k1 t1] [--figures] [--output FILE]
+    python -m benchmarks.papers [--quick] [--only k1 t1] [--figures] [--output FILE]
 
 "K" is Wang, Krasny and Tlupova (2020), "T" is Wang, Tlupova and Krasny (2019).
 """
@@ -11,37 +11,15 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-import point_sets
 import treecode as tc
+from benchmarks import point_sets, printed
+from benchmarks.sums import Problem
 
-ORDERS = (0, 2, 4, 6, 8, 10)
-
-# E as printed. t1 and t3: one value for each of ORDERS.
-PRINTED: dict[str, dict[Any, Any]] = {
-    "k1": {10_000: 2.25e-6, 80_000: 1.44e-5, 640_000: 3.17e-5, 5_120_000: 1.62e-5},
-    "k3": {0.005: 7.68e-6, 0.01: 2.08e-5, 0.02: 3.17e-5, 0.04: 2.78e-5, 0.08: 1.93e-5},
-    "k5": {80: 2.24e-5},
-    "t1": {
-        (6, 0.2): (8.3e-04, 2.2e-05, 7.3e-07, 2.9e-08, 1.1e-09, 4.2e-11),
-        (6, 0.5): (8.9e-03, 1.2e-03, 2.2e-04, 5.2e-05, 1.2e-05, 2.9e-06),
-        (6, 0.8): (2.3e-02, 8.2e-03, 4.5e-03, 2.5e-03, 1.5e-03, 9.3e-04),
-        (7, 0.2): (1.4e-03, 3.2e-05, 9.8e-07, 3.6e-08, 1.3e-09, 5.1e-11),
-        (7, 0.5): (7.4e-03, 1.1e-03, 2.4e-04, 5.4e-05, 1.3e-05, 3.2e-06),
-        (7, 0.8): (2.0e-02, 8.8e-03, 4.7e-03, 2.7e-03, 1.7e-03, 1.1e-03),
-    },
-    "t3": {
-        (125_000, 0.2): (1.1e-02, 2.2e-04, 4.4e-06, 1.1e-07, 3.2e-09, 9.6e-11),
-        (125_000, 0.5): (1.1e-01, 8.2e-03, 1.1e-03, 1.7e-04, 3.0e-05, 5.5e-06),
-        (125_000, 0.8): (2.1e-01, 4.3e-02, 1.4e-02, 5.4e-03, 2.4e-03, 1.1e-03),
-    },
-}
 TITLES = {
     "k1": "K table 1: organisms in a cube, eps = 0.02",
     "k3": "K table 3: organisms of length eps, N = 640K",
@@ -57,35 +35,6 @@ HEADER = (
     "| set | N | targets | theta | degree | printed | E | ratio | E, no self | ratio "
     "| near/target | far/target |"
 )
-
-
-@dataclass
-class Problem:
-    """A sum, and the targets at which its error is taken."""
-
-    kernel: tc.Kernel
-    points: np.ndarray
-    strengths: np.ndarray
-    rows: np.ndarray
-
-    @property
-    def targets(self) -> np.ndarray:
-        return self.points[self.rows]
-
-    @cached_property
-    def exact(self) -> np.ndarray:
-        """The direct sum."""
-        return tc.evaluate(
-            self.kernel, self.points, self.strengths, targets=self.targets, backend="direct"
-        )
-
-    @cached_property
-    def self_terms(self) -> np.ndarray:
-        """K(0) q: what each target contributes to its own sum, 0 for a singular kernel."""
-        origin = np.zeros((1, 3))
-        units = np.eye(self.kernel.strength_size)[:, None]
-        columns = [tc.evaluate(self.kernel, origin, unit, backend="direct")[0] for unit in units]
-        return self.strengths[self.rows] @ np.array(columns)
 
 
 class Row(NamedTuple):
@@ -156,28 +105,29 @@ class Tables:
         return self.problem(tc.RegularizedStokeslet(epsilon), points, forces)
 
     def k1(self) -> Iterator[Row]:
-        for n, printed in PRINTED["k1"].items():
+        for n, theirs in printed.K1.items():
             for octant in (False, True) if n <= self.limit else ():
                 for shuffle in (False, True):
                     label = "one octant" if octant else "isotropic"
                     label += ", shuffled" if shuffle else ""
                     problem = self.organisms(n, 0.02, octant, shuffle)
-                    yield Row(label, problem, "kitc", 0.7, 7, 2000, printed)
+                    yield Row(label, problem, "kitc", 0.7, 7, 2000, theirs.error)
 
     def k3(self) -> Iterator[Row]:
-        for epsilon, printed in PRINTED["k3"].items() if self.limit >= 640_000 else ():
+        for epsilon, error in printed.K3.items() if self.limit >= 640_000 else ():
             for octant in (False, True):
                 label = f"eps {epsilon:g}, " + ("one octant" if octant else "isotropic")
                 problem = self.organisms(640_000, epsilon, octant)
-                yield Row(label, problem, "kitc", 0.7, 7, 2000, printed)
+                yield Row(label, problem, "kitc", 0.7, 7, 2000, error)
 
     def k5(self) -> Iterator[Row]:
         for side in (15, 20, 30, 40, 60, 80):
             if side**2 * point_sets.ROD_POINTS <= self.limit:
                 kernel = tc.RegularizedStokesletRotlet(0.3)
                 problem = self.problem(kernel, *point_sets.rods(side, self.seed))
-                printed = PRINTED["k5"].get(side)
-                yield Row(f"{side} x {side}", problem, "kitc", 0.7, 7, 1000, printed)
+                theirs = printed.K5.get(side)
+                error = theirs.error if theirs else None
+                yield Row(f"{side} x {side}", problem, "kitc", 0.7, 7, 1000, error)
 
     def t1(self) -> Iterator[Row]:
         for level in (6, 7):
@@ -185,17 +135,18 @@ class Tables:
                 points, strengths = point_sets.sphere(level, self.seed, outward=outward)
                 problem = self.problem(tc.StokesletStresslet(), points, strengths)
                 label = "nu outward" if outward else "nu shuffled"
-                yield from self.taylor("t1", level, label, problem)
+                yield from self.taylor(level, label, problem)
 
     def t3(self) -> Iterator[Row]:
         if self.limit >= 125_000:
             problem = self.problem(tc.Stokeslet(), *point_sets.cube(125_000, self.seed))
-            yield from self.taylor("t3", 125_000, "cube", problem)
+            yield from self.taylor(125_000, "cube", problem)
 
-    def taylor(self, name: str, size: int, label: str, problem: Problem) -> Iterator[Row]:
+    def taylor(self, size: int, label: str, problem: Problem) -> Iterator[Row]:
         for theta in (0.2, 0.5, 0.8):
-            for order, printed in zip(ORDERS, PRINTED[name][size, theta], strict=True):
-                yield Row(label, problem, "taylor", theta, order, 2000, printed)
+            for order in printed.ORDERS:
+                error = printed.taylor(size, theta, order)[1]
+                yield Row(label, problem, "taylor", theta, order, 2000, error)
 
     def k2(self) -> Iterator[Row]:
         if self.limit >= 640_000:
@@ -205,7 +156,7 @@ class Tables:
                     yield Row("one octant", problem, "kitc", theta, degree, 2000, None)
 
     def k3a(self) -> Iterator[Row]:
-        for n in PRINTED["k1"]:
+        for n in printed.K1:
             if n <= self.limit:
                 problem = self.organisms(n, 0.02, octant=True)
                 for degree in (1, 3, 5, 7, 9):

@@ -6,12 +6,22 @@ numbers are not available, so a set agrees with theirs in distribution, not poin
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 CUBE_SIDE = 10.0  # K section 8.1
 CUBE_DENSITY = 2500.0  # T section 6
 ROD_SPACING = 16.0 / 15.0  # K section 8.2: 15 rods in 16, and 80 in "approximately 85"
 ROD_POINTS = 151
+
+UNEVEN = (
+    "uniform cube",
+    "rod array",
+    "sphere surface",
+    "half in a clump a thousandth as wide",
+    "two clumps a thousand widths apart",
+)
 
 
 def organisms(
@@ -136,6 +146,36 @@ def cube(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     side = (n / CUBE_DENSITY) ** (1.0 / 3.0)
     return rng.uniform(0.0, side, (n, 3)), rng.uniform(-1.0, 1.0, (n, 3))
+
+
+def uneven(name: str, n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return one of the sets `UNEVEN` with random forces.
+
+    Parameters
+    ----------
+    name : str
+    n : int
+    seed : int
+
+    Returns
+    -------
+    points : (n, 3) float64
+    forces : (n, 3) float64
+        Normally distributed.
+    """
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1.0, 1.0, (n, 3))
+    kind = UNEVEN.index(name)
+    if kind == 1:
+        points = rods(math.ceil(math.sqrt(n / ROD_POINTS)), seed)[0][:n]
+    elif kind == 2:
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+    elif kind == 3:
+        points[::2] *= 1e-3
+    elif kind == 4:
+        points *= 1e-3
+        points[::2] += 1.0
+    return points, rng.standard_normal((n, 3))
 
 
 def _icosahedron() -> np.ndarray:

@@ -1,6 +1,6 @@
 """What is asked at the limits, what happened, and the bound: the cases of tests/test_stability.py.
 
-python benchmarks/stability.py [--quick] [--output FILE]
+python -m benchmarks.stability [--quick] [--output FILE]
 """
 
 from __future__ import annotations
@@ -8,33 +8,16 @@ from __future__ import annotations
 import argparse
 import datetime
 import inspect
-import os
-import platform
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-import numba
-import numpy as np
-import scipy
+from benchmarks.machine import machine
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import test_stability
-
-
-def machine() -> str:
-    """Return processor, system, versions and date."""
-    cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    processor = models[0] if models else platform.processor() or platform.machine()
-    return (
-        f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
-        f"Python {platform.python_version()}, numba {numba.__version__}, numpy {np.__version__}, "
-        f"scipy {scipy.__version__}; {datetime.date.today()}."
-    )
 
 
 def section(case: test_stability.Case, explained: bool) -> Iterator[str]:
@@ -59,7 +42,7 @@ def main() -> None:
         "# Stability\n",
         "What is asked at the limits, what happened, and the bound. A rounding is 2^-53, theta is",
         f"{test_stability.THETA} where no other is named.\n",
-        machine(),
+        f"{machine()}; {datetime.date.today()}.",
     ]
     functions = []
     for case in test_stability.CASES:

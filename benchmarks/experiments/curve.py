@@ -1,0 +1,135 @@
+"""Run time against error
+
+K example 1 (organisms in a cube, epsilon 0.02), one thread, as in K figure 2. Seconds go from
+points to values; building the operators of `fmm`, done once for a kernel, a box and a tolerance,
+stands apart. E is K eq. (8.1) at 2000 random targets. ~: from sampled targets, in proportion. Stars
+are on the lower envelope: no other backend and parameters are both faster and more accurate. FMM3D
+(`fmm3dpy`) sums singular Stokeslets on the same points, with its own arithmetic and without
+epsilon, and its error is against direct sums of these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from benchmarks import plots, printed, sums, tables
+from benchmarks.rows import Row
+
+measure = sums.one_sum
+
+THETAS = (0.5, 0.6, 0.7, 0.8, 0.2)  # that are drawn, here and for T
+
+FINE: dict[str, Any] = {
+    "kitc": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
+    "taylor": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
+    "fmm": (1e-2, 1e-3, 1e-4, 3e-5, 1e-5, 1e-6, 3e-7, 1e-8, 1e-9, 1e-10, 1e-11),
+    "fmm3d": (1e-3, 1e-6, 1e-9),
+}
+COARSE = FINE | {
+    "kitc": ((0.6, 0.7, 0.8), (1, 3, 5, 7)),
+    "taylor": ((0.6, 0.7, 0.8), (3, 5, 7, 9)),
+    "fmm3d": (1e-3, 1e-6),
+}
+QUICK: dict[str, Any] = {
+    "kitc": ((0.7,), (3, 7)),
+    "taylor": ((0.7,), (3, 7)),
+    "fmm": (1e-2, 1e-3),
+    "fmm3d": (1e-3,),
+}
+
+
+def cases(quick: bool) -> Iterator[Row]:
+    """Yield backends with their parameters."""
+    for n, grid in ((10_000, QUICK),) if quick else ((80_000, FINE), (640_000, COARSE)):
+        common: Row = {"points": "organisms", "size": n, "epsilon": 0.02}
+        yield common | {"backend": "direct"}
+        for backend in ("kitc", "taylor"):
+            thetas, degrees = grid[backend]
+            for theta in thetas:
+                for degree in degrees:
+                    yield common | treecode(backend, theta, degree)
+        yield from (common | {"backend": "fmm", "tol": tol} for tol in grid["fmm"])
+        if sums.HAS_FMM3D:
+            yield from (common | {"backend": "fmm3d", "tol": tol} for tol in grid["fmm3d"])
+
+
+def treecode(backend: str, theta: float, degree: int, leaf_size: int = 2000) -> Row:
+    """Return the parameters of a treecode, with the papers' leaf size."""
+    return {"backend": backend, "theta": theta, "degree": degree, "leaf_size": leaf_size}
+
+
+def table(rows: list[Row]) -> str:
+    """Return a row for each sum, by N and error."""
+    header = "N,backend,parameters,E,build (s),points (s),total (s),near,far,precision"
+    return tables.table(header.split(","), _lines(rows))
+
+
+def _lines(rows: list[Row]) -> Iterator[list[str]]:
+    for n, group in groupby(rows, key=lambda row: row["n"]):
+        same = list(group)
+        best = plots.envelope(regularized(same))
+        for row in sorted(same, key=lambda row: -(row["error"] or 1.0)):
+            star = " *" if any(row is other for other in best) else ""
+            yield [
+                f"{n:,}",
+                plots.name(row["backend"]) + star,
+                tables.options(row),
+                tables.error(row["error"]),
+                tables.build(row),
+                tables.figure(row["setting"]),
+                tables.seconds(row),
+                tables.figure(row["near"]),
+                tables.figure(row["far"]),
+                row["precision"],
+            ]
+
+
+def regularized(rows: list[Row]) -> list[Row]:
+    """Return the rows that solve the same problem."""
+    return [row for row in rows if row["backend"] != "fmm3d"]
+
+
+def plot(rows: list[Row], figure: Any) -> None:
+    """Draw seconds against error, a panel for each N."""
+    groups = [(n, list(group)) for n, group in groupby(rows, key=lambda row: row["n"])]
+    figure.set_size_inches(plots.WIDTH, 6.0)
+    for axes, (n, same) in zip(
+        figure.subplots(1, len(groups), squeeze=False)[0], groups, strict=True
+    ):
+        best = [row for row in plots.envelope(regularized(same)) if row["error"]]
+        axes.plot(
+            [row["error"] for row in best],
+            [row["seconds"] for row in best],
+            color="0.85",
+            linewidth=7,
+            label="lower envelope",
+            zorder=0,
+        )
+        draw(axes, same)
+        if n in printed.K1:
+            paper = printed.K1[n]
+            plots.printed(axes, [paper.error], [paper.treecode], "kitc", "K table 1 (kitc)")
+            axes.axhline(
+                paper.direct, color="0.5", linestyle=":", linewidth=1, label="K table 1 (direct)"
+            )
+        axes.set(xscale="log", yscale="log", title=f"N = {n:,}", xlabel="E", ylabel="seconds")
+    plots.finish(figure)
+
+
+def draw(axes: Any, rows: list[Row]) -> None:
+    """Draw a line for each backend and theta."""
+    for row in rows:
+        if row["backend"] == "direct":
+            label = "direct" + " (from sampled targets)" * row["extrapolated"]
+            dashes = "-." if row["extrapolated"] else "--"
+            axes.axhline(row["seconds"], color="k", linestyle=dashes, linewidth=1, label=label)
+    for backend in ("kitc", "taylor"):
+        for style, theta in enumerate(THETAS):
+            line = [row for row in rows if (row["backend"], row.get("theta")) == (backend, theta)]
+            label = f"{backend}, theta {theta:g}"
+            plots.line(axes, line, "error", "seconds", backend, label, style)
+    for style, backend in enumerate(("fmm", "fmm3d")):
+        line = [row for row in rows if row["backend"] == backend]
+        plots.line(axes, line, "error", "seconds", backend, plots.name(backend), style)

@@ -1,0 +1,62 @@
+"""Error against epsilon
+
+K example 1 with organisms as long as epsilon, K table 3: `kitc` with theta 0.7, n = 7 and N0 =
+2000, and `fmm`, one thread. E at 2000 random targets, for `kitc` the only ones; its time does not
+depend on epsilon.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from benchmarks import plots, printed, sums, tables
+from benchmarks.experiments.curve import treecode
+from benchmarks.rows import Row
+
+measure = sums.one_sum
+
+
+def cases(quick: bool) -> Iterator[Row]:
+    """Yield values of epsilon with backends."""
+    for epsilon in printed.K3:
+        n = 10_000 if quick else 640_000
+        common: Row = {"points": "organisms", "size": n, "epsilon": epsilon}
+        yield common | treecode("kitc", 0.7, 7) | {"sampled": True}
+        yield common | {"backend": "fmm", "tol": 3e-5}
+
+
+def table(rows: list[Row]) -> str:
+    """Return a row for each sum."""
+    header = "N,epsilon,backend,parameters,E,K: E,seconds"
+    return tables.table(header.split(","), map(_line, rows))
+
+
+def _line(row: Row) -> list[str]:
+    kitc = row["backend"] == "kitc"
+    return [
+        f"{row['n']:,}",
+        f"{row['epsilon']:g}",
+        row["backend"],
+        tables.options(row),
+        tables.error(row["error"]),
+        tables.error(printed.K3[row["epsilon"]]) if kitc and row["n"] == 640_000 else "",
+        "" if kitc else tables.seconds(row),
+    ]
+
+
+def plot(rows: list[Row], figure: Any) -> None:
+    """Draw E against epsilon."""
+    figure.set_size_inches(plots.WIDTH, 4.0)
+    axes = figure.subplots()
+    for style, backend in enumerate(("kitc", "fmm")):
+        mine = [row for row in rows if row["backend"] == backend]
+        if mine:
+            label = f"{backend}, {tables.options(mine[0])}"
+            plots.line(axes, mine, "epsilon", "error", backend, label, style)
+    if rows[0]["n"] == 640_000:
+        plots.printed(axes, list(printed.K3), list(printed.K3.values()), "kitc", "K table 3")
+    axes.set(xscale="log", yscale="log", xlabel="epsilon", ylabel="E")
+    axes.set_xticks(list(printed.K3), [f"{epsilon:g}" for epsilon in printed.K3])
+    axes.minorticks_off()
+    plots.finish(figure)

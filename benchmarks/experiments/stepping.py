@@ -1,0 +1,157 @@
+"""Time stepping: error at a fixed time against wall time
+
+Three scenes, direct sums, one thread: the stiff rod of Olson, Lim & Cortez after 10 ms; 60 swimmers
+that meet, after 2 s; nine beating cilia after a quarter of a beat. Fixed steps for the explicit
+methods, tolerances for those that estimate their error. The error is the root mean square distance
+of points from those of a run of `rk4` with much smaller steps, in lengths of a body.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+
+import mrs
+from benchmarks import plots, sums, tables
+from benchmarks.rows import Row
+
+
+class Scene(NamedTuple):
+    """What runs for how long, how long a body is, and how many steps the methods take."""
+
+    scenario: str
+    options: dict[str, Any]
+    t_end: float
+    length: float
+    steps: dict[str, tuple[int, ...]]
+    reference: int
+
+
+SCENES = {
+    "rod": Scene(
+        "rod_relaxation",
+        {},
+        0.01,
+        75 * np.pi / 40,
+        {
+            "euler": (1500, 3000, 6000),
+            "heun": (1500, 3000, 6000),
+            "rk4": (1250, 2500),
+        },
+        5000,
+    ),
+    "swimmers": Scene(
+        "swimmer_suspension",
+        {"count": 60, "size": 5.0},
+        2.0,
+        1.0,
+        {"euler": (100, 400, 1600), "heun": (100, 200, 400), "rk4": (100, 200, 400)},
+        3200,
+    ),
+    "cilia": Scene(
+        "cilia_array",
+        {"rows": 3, "columns": 3, "nodes": 41},
+        0.25,
+        6.0,
+        {"euler": (700, 1400, 2800), "heun": (700, 1400, 2800), "rk4": (500, 1000)},
+        2000,
+    ),
+}
+TOLERANCES = {
+    "bs32": (1e-3, 1e-4, 1e-5, 1e-6, 1e-7),
+    "rkc2": (1e-2, 1e-3, 1e-4, 1e-5, 1e-6),
+}
+METHODS = ("euler", "heun", "rk4", "bs32", "rkc2")
+
+
+def cases(quick: bool) -> Iterator[Row]:
+    """Yield scenes with integrators."""
+    for name, scene in SCENES.items():
+        if not quick or name == "swimmers":
+            for method, counts in scene.steps.items():
+                yield from ({"scene": name, "method": method, "steps": n} for n in counts)
+            for method, tolerances in TOLERANCES.items():
+                yield from ({"scene": name, "method": method, "tolerance": t} for t in tolerances)
+
+
+def run_scene(scene: str, method: str, steps: int = 0, tolerance: float = 1e-4) -> Row:
+    """Run a scene with fixed steps or a tolerance, and again while that is short."""
+    numba.set_num_threads(1)
+    what = SCENES[scene]
+    dt: Any = what.t_end / steps if steps else "auto"
+    integrator = mrs.Integrator(method, dt=dt, tolerance=tolerance)
+    exact = _reference(scene)
+    sims: list[mrs.Simulation] = []
+
+    def lap() -> float:
+        sims.append(build(what, integrator))
+        start = time.perf_counter()
+        sims[-1].run(what.t_end)
+        return time.perf_counter() - start
+
+    laps = sums.repeat(lap)
+    sim = sims[-1]
+    distance = np.linalg.norm(sim.state.positions - exact, axis=1) / what.length
+    return {
+        "taken": sim.stepper.steps,
+        "evaluations": sim.mobility.evaluations,
+        "seconds": float(np.median(laps)),
+        "error": float(np.sqrt(np.mean(distance**2))),
+    }
+
+
+def build(scene: Scene, integrator: mrs.Integrator) -> mrs.Simulation:
+    """Return a scene at its start."""
+    made = mrs.scenario.make(scene.scenario, scene.options)
+    return made.build(backend=mrs.Backend("direct"), integrator=integrator)
+
+
+@lru_cache
+def _reference(name: str) -> np.ndarray:
+    """Return the positions at the end of a run with small steps."""
+    scene = SCENES[name]
+    integrator = mrs.Integrator("rk4", dt=scene.t_end / scene.reference)
+    return build(scene, integrator).run(scene.t_end).state.positions
+
+
+measure = run_scene
+
+
+def table(rows: list[Row]) -> str:
+    """Return a row for each run, by scene and error."""
+    header = "scene,integrator,step,steps taken,evaluations,error,seconds"
+    ordered = sorted(rows, key=lambda row: (row["scene"], -row["error"]))
+    return tables.table(header.split(","), map(_line, ordered))
+
+
+def _line(row: Row) -> list[str]:
+    step = f"tolerance {row['tolerance']:g}" if "tolerance" in row else "fixed"
+    return [
+        row["scene"],
+        row["method"],
+        step,
+        f"{row['taken']:,}",
+        f"{row['evaluations']:,}",
+        tables.error(row["error"]),
+        tables.figure(row["seconds"]),
+    ]
+
+
+def plot(rows: list[Row], figure: Any) -> None:
+    """Draw error against seconds, a panel for each scene."""
+    groups = [(name, list(group)) for name, group in groupby(rows, key=lambda row: row["scene"])]
+    figure.set_size_inches(plots.WIDTH, 4.5)
+    panels = figure.subplots(1, len(groups), squeeze=False)[0]
+    for axes, (name, mine) in zip(panels, groups, strict=True):
+        for style, method in enumerate(METHODS):
+            line = [row for row in mine if row["method"] == method]
+            plots.line(axes, line, "error", "seconds", method, method, style)
+        axes.set(xscale="log", yscale="log", title=name, xlabel="error")
+    panels[0].set(ylabel="seconds")
+    plots.finish(figure, columns=len(METHODS))

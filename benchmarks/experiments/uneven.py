@@ -1,0 +1,70 @@
+"""Sets that are not uniform
+
+300,000 points each, regularized Stokeslets with epsilon a thousandth of the width, random forces,
+one thread: seconds for a point beside those in a cube. E at 2000 random targets.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import groupby
+from typing import Any
+
+from benchmarks import plots, sums, tables
+from benchmarks.experiments.curve import treecode
+from benchmarks.point_sets import UNEVEN
+from benchmarks.rows import Row
+
+measure = sums.one_sum
+
+
+def cases(quick: bool) -> Iterator[Row]:
+    """Yield sets with backends."""
+    for name in UNEVEN:
+        common: Row = {"points": name, "size": 5_000 if quick else 300_000}
+        yield common | treecode("kitc", 0.7, 3)
+        yield common | {"backend": "fmm", "tol": 1e-3}
+
+
+def table(rows: list[Row]) -> str:
+    """Return a row for each sum."""
+    header = "points,N,backend,parameters,E,build (s),seconds,a point beside the cube"
+    return tables.table(header.split(","), (_line(row, rows) for row in rows))
+
+
+def _line(row: Row, rows: list[Row]) -> list[str]:
+    return [
+        row["points"],
+        f"{row['n']:,}",
+        row["backend"],
+        tables.options(row),
+        tables.error(row["error"]),
+        tables.build(row),
+        tables.seconds(row),
+        tables.figure(beside_cube(row, rows)),
+    ]
+
+
+def beside_cube(row: Row, rows: list[Row]) -> float | None:
+    """Return the seconds of a point in units of those in the cube, by the same backend."""
+    cube = [r for r in rows if r["points"] == UNEVEN[0] and r["backend"] == row["backend"]]
+    return row["seconds"] / row["n"] / (cube[0]["seconds"] / cube[0]["n"]) if cube else None
+
+
+def plot(rows: list[Row], figure: Any) -> None:
+    """Draw a bar for each sum."""
+    figure.set_size_inches(plots.WIDTH, 3.5)
+    axes = figure.subplots()
+    key = _backend
+    for i, (backend, group) in enumerate(groupby(sorted(rows, key=key), key=key)):
+        mine = {row["points"]: 1e6 * row["seconds"] / row["n"] for row in group}
+        places = [UNEVEN.index(name) + 0.38 * (0.5 - i) for name in mine]
+        axes.barh(places, list(mine.values()), 0.36, color=plots.COLORS[backend], label=backend)
+    axes.set_yticks(range(len(UNEVEN)), UNEVEN)
+    axes.invert_yaxis()
+    axes.set(xlabel="microseconds a point")
+    plots.finish(figure)
+
+
+def _backend(row: Row) -> str:
+    return str(row["backend"])

@@ -1,0 +1,74 @@
+"""Tables in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+from benchmarks.rows import Row
+
+Printed = tuple[float | None, float | None]
+"""Seconds and error, None where a paper prints none."""
+
+
+def table(header: Iterable[str], lines: Iterable[Iterable[str]]) -> str:
+    """Return a table."""
+    header = list(header)
+    rows = [header, ["---"] * len(header), *map(list, lines)]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def figure(value: Any, digits: int = 3) -> str:
+    """Return a number with so many significant digits, "" for None."""
+    if value is None:
+        return ""
+    return f"{value:,.0f}" if abs(value) >= 10 ** (digits - 1) else f"{value:.{digits}g}"
+
+
+def error(value: float | None) -> str:
+    """Return an error as the papers print it, "" for None."""
+    return "" if value is None else f"{value:.2e}"
+
+
+def seconds(row: Row, key: str = "seconds") -> str:
+    """Return a time, marked with ~ if it was extrapolated from fewer targets."""
+    return ("~" if row["extrapolated"] else "") + figure(row[key])
+
+
+def build(row: Row) -> str:
+    """Return the seconds in which operators were built, "" where there are none."""
+    return figure(row["build"]) if row["backend"] == "fmm" else ""
+
+
+def ratio(printed: float | None, ours: float) -> str:
+    """Return how many times ours goes into the printed value."""
+    return "" if printed is None else figure(printed / ours, 2)
+
+
+def options(row: Row) -> str:
+    """Return the parameters of a backend."""
+    names = {"theta": "theta", "degree": "p" if row["backend"] == "taylor" else "n", "tol": "tol"}
+    return ", ".join(f"{short} {row[name]:g}" for name, short in names.items() if name in row)
+
+
+def beside(rows: list[Row], name: str, paper: Callable[[Row], Printed]) -> str:
+    """Return a table of sums beside what a paper prints for them."""
+    header = "points,N,backend,parameters,E,*: E,build (s),seconds,*: seconds,* / ours"
+    lines = []
+    for row in rows:
+        theirs, their_error = paper(row)
+        lines.append(
+            [
+                row["points"],
+                f"{row['n']:,}",
+                row["backend"],
+                options(row),
+                error(row["error"]),
+                error(their_error),
+                build(row),
+                seconds(row),
+                figure(theirs),
+                ratio(theirs, row["seconds"]),
+            ]
+        )
+    return table(header.replace("*", name).split(","), lines)
