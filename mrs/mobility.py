@@ -109,7 +109,6 @@ class Mobility:
         check.number("tolerance", backend.tolerance, 1e-12, 1.0)
         self.backend = backend
         self.evaluations = 0
-        self.seconds = 0.0
         self._sums = []
         for epsilon in np.unique(epsilons[forced]):
             for torque in (False, True):
@@ -129,13 +128,11 @@ class Mobility:
         nothing at points that do not want them.
         """
         values = np.zeros_like(loads)
-        start = time.perf_counter()
         for term in self._sums:
             if term.backend is None:
                 term.use(self._choose(term, points, loads))
             out = term(points, loads)
             values[term.targets, : out.shape[1]] += out
-        self.seconds += time.perf_counter() - start
         self.evaluations += 1
         return values
 
@@ -152,8 +149,12 @@ class Mobility:
     @property
     def pairs(self) -> int:
         """Pairs of targets with sources, or terms of expansions, in the last evaluation."""
-        infos = [term.plan.info() for term in self._sums if term.backend is not None]
+        infos = self.infos()
         return sum((info["near_pairs"] or 0) + (info["far_pairs"] or 0) for info in infos)
+
+    def infos(self) -> list[dict[str, Any]]:
+        """Return `treecode.Plan.info` of each sum in the last evaluation."""
+        return [term.plan.info() for term in self._sums if term.backend is not None]
 
     @property
     def choices(self) -> list[Backend]:
