@@ -109,6 +109,7 @@ class Mobility:
         check.number("tolerance", backend.tolerance, 1e-12, 1.0)
         self.backend = backend
         self.evaluations = 0
+        self.seconds = 0.0
         self._sums = []
         for epsilon in np.unique(epsilons[forced]):
             for torque in (False, True):
@@ -128,11 +129,13 @@ class Mobility:
         nothing at points that do not want them.
         """
         values = np.zeros_like(loads)
+        start = time.perf_counter()
         for term in self._sums:
             if term.backend is None:
                 term.use(self._choose(term, points, loads))
             out = term(points, loads)
             values[term.targets, : out.shape[1]] += out
+        self.seconds += time.perf_counter() - start
         self.evaluations += 1
         return values
 

@@ -1,0 +1,23 @@
+"""On what something was measured."""
+
+from __future__ import annotations
+
+import os
+import platform
+from importlib.metadata import version
+from pathlib import Path
+
+PACKAGES = ("mrs-treecode", "numba", "numpy", "scipy")
+
+
+def machine() -> str:
+    """Return processor, system and versions."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.exists() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    processor = models[0] if models else platform.processor() or platform.machine()
+    versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
+    return (
+        f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
+        f"Python {platform.python_version()}, {versions}"
+    )
