@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -50,35 +51,47 @@ def tracers(count: int) -> mrs.Simulation:
     return mrs.Simulation(fluid, bodies, integrator=EULER)
 
 
-def profiled(sim: mrs.Simulation) -> tuple[Profile, int]:
-    """Return the profile of some steps of forward Euler, and how many points there are."""
+class Step(NamedTuple):
+    """What one step costs."""
+
+    points: int
+    seconds: dict[str, float]
+    """By stage, medians."""
+    pairs: dict[str, int]
+
+
+def profiled(sim: mrs.Simulation) -> Step:
+    """Return the cost of a step, from some steps."""
     points = len(sim.evaluate(0.0, sim.state).points)
     sim.step(1e-6)  # compiles, chooses, estimates the spectral radius
-    sim.profile = Profile()
+    steps = []
     for _ in range(STEPS):
+        sim.profile = Profile()
         sim.step(sim.time + 1e-6)
-    return sim.profile, points
+        steps.append(sim.profile)
+    seconds = {stage: median(step.seconds[stage] for step in steps) for stage in steps[0].seconds}
+    return Step(points, seconds, dict(steps[0].pairs))
 
 
 def profiles() -> Iterator[str]:
     """Yield the lines of a table: a row a stage, a column a scene."""
     scenes = {
         "8000 swimmers": profiled(swimmers(8000)),
-        "15 x 15 rods": profiled(rods(15, KITC)),
+        "15 x 15 rods, kitc": profiled(rods(15, KITC)),
         "15 x 15 rods, fmm": profiled(rods(15, FMM)),
         "16000 tracers": profiled(tracers(16000)),
     }
+    steps = scenes.values()
     yield "| ms a step | " + " | ".join(scenes) + " |"
     yield "|---|" + "---|" * len(scenes)
-    yield "| points | " + " | ".join(str(points) for _, points in scenes.values()) + " |"
     for stage, meaning in STAGES.items():
-        times = [profile.seconds.get(stage) for profile, _ in scenes.values()]
-        if any(times):
-            cells = ["" if t is None else f"{1e3 * t / STEPS:.2f}" for t in times]
+        if any(stage in step.seconds for step in steps):
+            times = [step.seconds.get(stage) for step in steps]
+            cells = ["" if t is None else f"{1e3 * t:.2f}" for t in times]
             yield f"| {stage}: {meaning} | " + " | ".join(cells) + " |"
+    yield "| points | " + " | ".join(str(step.points) for step in steps) + " |"
     for what in ("near", "far"):
-        counts = [profile.pairs.get(what, 0) // STEPS for profile, _ in scenes.values()]
-        yield f"| pairs {what} | " + " | ".join(f"{count:,}" for count in counts) + " |"
+        yield f"| pairs {what} | " + " | ".join(f"{s.pairs.get(what, 0):,}" for s in steps) + " |"
 
 
 def compared(*actions: Callable[[], object]) -> list[float]:
@@ -193,7 +206,7 @@ def main() -> None:
     lines = [
         "# What a step costs",
         f"\n{machine()}; {datetime.date.today()}. Written by `python -m benchmarks.savings`.",
-        f"\n## By stage\n\n{STEPS} steps of forward Euler.\n",
+        f"\n## By stage\n\nMedians of {STEPS} steps of forward Euler.\n",
         *profiles(),
         f"\n## With and without\n\nMedians of {TURNS} turns.\n",
         *table(savings()),
