@@ -15,7 +15,7 @@ from mrs import runs, scenario
 from mrs.rundir import tomllib
 from mrs.scenario import ScenarioError
 from mrs.simulation import Simulation
-from mrs.trackers import Progress
+from mrs.trackers import ProfileTable, Progress, Tracker
 
 _EPILOG = """\
 examples:
@@ -93,7 +93,7 @@ def _run(options: argparse.Namespace) -> None:
         return
     directory = options.output or Path("outputs") / Path(options.scene).stem
     sim = scene.simulation(directory, overwrite=options.overwrite)
-    sim.trackers.append(Progress())
+    sim.trackers.extend(_trackers(options))
     sim.run(scene.t_end, max_walltime=options.max_walltime)
     _report(sim, scene, directory)
     if options.picture:
@@ -101,6 +101,10 @@ def _run(options: argparse.Namespace) -> None:
 
         render(directory, directory / "picture.png")
         print(directory / "picture.png")
+
+
+def _trackers(options: argparse.Namespace) -> list[Tracker]:
+    return [Progress(), ProfileTable()] if options.profile else [Progress()]
 
 
 def _assign(values: dict[str, Any], item: str) -> None:
@@ -137,7 +141,7 @@ def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> None:
 
 def _resume(options: argparse.Namespace) -> None:
     sim = runs.resume(
-        options.directory, options.t_end, [Progress()], max_walltime=options.max_walltime
+        options.directory, options.t_end, _trackers(options), max_walltime=options.max_walltime
     )
     _report(sim, runs.scenario_of(options.directory), options.directory)
 
@@ -199,8 +203,13 @@ def _field(options: argparse.Namespace) -> None:
 
 
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
-_WALLTIME = {
-    "--max-walltime": {"type": float, "metavar": "SECONDS", "help": "stop in good order after that"}
+_GOING: dict[str, dict[str, Any]] = {
+    "--max-walltime": {
+        "type": float,
+        "metavar": "SECONDS",
+        "help": "stop in good order after that",
+    },
+    "--profile": {"action": "store_true", "help": "print a table of where the time went"},
 }
 _FRAME = {"--frame": {"type": int, "default": -1, "help": "number of the frame (default the last)"}}
 
@@ -229,7 +238,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
             },
             "--options": {"action": "store_true", "help": "list the options and stop"},
             "--picture": {"action": "store_true", "help": "draw the last frame when done"},
-            **_WALLTIME,
+            **_GOING,
         },
     ),
     "resume": (
@@ -238,7 +247,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         {
             **_DIRECTORY,
             "--t-end": {"type": float, "help": "a new end of simulated time"},
-            **_WALLTIME,
+            **_GOING,
         },
     ),
     "info": (

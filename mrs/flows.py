@@ -52,15 +52,21 @@ class QuadraticFlow:
 
     def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the velocity at points, (N, 3)."""
-        bent = np.einsum("ijk,nj,nk->ni", self.quadratic, points, points, optimize=True)
-        return self.constant + points @ self.gradient.T + bent
+        linear = self.constant + points @ self.gradient.T
+        if not self.quadratic.any():
+            return linear
+        products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
+        return linear + products @ self.quadratic.reshape(3, 9).T
 
     def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the curl of the velocity, (N, 3)."""
-        g = self.gradient + 2.0 * np.einsum("ijk,nk->nij", self.quadratic, points)
-        return np.stack(
-            [g[:, 2, 1] - g[:, 1, 2], g[:, 0, 2] - g[:, 2, 0], g[:, 1, 0] - g[:, 0, 1]], axis=1
-        )
+        return _curl(self.gradient) + points @ (2.0 * _curl(self.quadratic)).T
+
+
+def _curl(gradient: np.ndarray) -> np.ndarray:
+    """Return the curl for G_ij, or for G_ij of each component of a vector, G_ijk: (3, ...)."""
+    g = gradient
+    return np.stack([g[2, 1] - g[1, 2], g[0, 2] - g[2, 0], g[1, 0] - g[0, 1]])
 
 
 def shear(rate: float) -> QuadraticFlow:

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from mrs import check, rotations
 
@@ -23,7 +23,7 @@ class Centerline(NamedTuple):
 
     def moved(self, shift: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> Centerline:
         """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
-        turn = Rotation.identity() if rotation is None else rotation
+        turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
         quaternions = rotations.multiply(turn.as_quat(), self.quaternions)
         return Centerline(
             turn.apply(self.nodes) + check.vector("shift", shift), quaternions, self.closed
@@ -163,12 +163,16 @@ def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
     d3 = third / np.linalg.norm(third, axis=1)[:, None]
     d1 = first - np.einsum("ni,ni->n", first, d3)[:, None] * d3
     d1 = d1 / np.linalg.norm(d1, axis=1)[:, None]
-    return Rotation.from_matrix(np.stack([d1, rotations.cross(d3, d1), d3], axis=-1)).as_quat()
+    return scipy.spatial.transform.Rotation.from_matrix(
+        np.stack([d1, rotations.cross(d3, d1), d3], axis=-1)
+    ).as_quat()
 
 
-def _turn_from_z(direction: Any) -> Rotation:
+def _turn_from_z(direction: Any) -> scipy.spatial.transform.Rotation:
     """Return the shortest rotation that takes z to `direction`."""
     unit = check.direction("direction", direction)
     if unit[2] < -1.0 + 1e-12:
-        return Rotation.from_rotvec([np.pi, 0.0, 0.0])
-    return Rotation.from_quat(rotations.between(np.array([0.0, 0.0, 1.0]), unit))
+        return scipy.spatial.transform.Rotation.from_rotvec([np.pi, 0.0, 0.0])
+    return scipy.spatial.transform.Rotation.from_quat(
+        rotations.between(np.array([0.0, 0.0, 1.0]), unit)
+    )

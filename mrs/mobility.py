@@ -152,8 +152,12 @@ class Mobility:
     @property
     def pairs(self) -> int:
         """Pairs of targets with sources, or terms of expansions, in the last evaluation."""
-        infos = [term.plan.info() for term in self._sums if term.backend is not None]
+        infos = self.infos()
         return sum((info["near_pairs"] or 0) + (info["far_pairs"] or 0) for info in infos)
+
+    def infos(self) -> list[dict[str, Any]]:
+        """Return `treecode.Plan.info` of each sum in the last evaluation."""
+        return [term.plan.info() for term in self._sums if term.backend is not None]
 
     @property
     def choices(self) -> list[Backend]:

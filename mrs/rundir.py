@@ -23,7 +23,7 @@ else:
     import tomli as tomllib
 
 CONFIG = "config.toml"
-_WRITTEN = ("checkpoint*.h5", "log.csv", "*.vtkhdf")
+_WRITTEN = ("checkpoint*.h5", "log.csv", "profile.csv", "*.vtkhdf")
 
 
 def require_free(directory: str | Path, *, overwrite: bool) -> None:

@@ -15,6 +15,7 @@ from mrs import check, rundir
 from mrs.bodies import Body
 from mrs.flows import Flow
 from mrs.mobility import Backend, Mobility
+from mrs.profile import Profile
 from mrs.state import State
 from mrs.stepper import Integrator, NotFiniteError, Stepper, StepSizeError
 from mrs.steric import Steric
@@ -94,6 +95,11 @@ class Simulation:
     recipe : dict, optional
         What builds this simulation again, kept in config.toml for `mrs.resume`.
 
+    Attributes
+    ----------
+    profile : Profile
+        Where the time has gone; print it.
+
     Raises
     ------
     ValueError, TypeError
@@ -125,6 +131,7 @@ class Simulation:
         self.steric = None if steric is None else steric.validated()
         self.recipe = recipe
         self.time = 0.0
+        self.profile = Profile()
         self._assemble()
         self.stepper = Stepper(self.integrator)
         self.output = output
@@ -212,7 +219,8 @@ class Simulation:
         """Return forces and motion in a state; the last answer is kept."""
         last = self._evaluation
         if last is None or last.time != time or not last.state.equals(state):
-            self._evaluation = self._evaluate(time, state)
+            with self.profile.stage("forces"):
+                self._evaluation = self._evaluate(time, state)
         assert self._evaluation is not None
         return self._evaluation
 
@@ -226,13 +234,24 @@ class Simulation:
         if not check.computable(points, loads):  # the stepper rejects the step, or stops
             lost = np.full_like(loads, np.nan)
             return Evaluation(time, state, points, loads, lost, self._rates(time, state, lost))
-        motion = self.mobility(points, loads)
+        motion = self._sum(points, loads)
         background = self.fluid.background
         if background is not None:
-            motion[:, :3] += background.velocity(points, time)
-            if self._width == 6:
-                motion[:, 3:] += 0.5 * background.vorticity(points, time)
+            with self.profile.stage("background"):
+                motion[:, :3] += background.velocity(points, time)
+                if self._width == 6:
+                    motion[:, 3:] += 0.5 * background.vorticity(points, time)
         return Evaluation(time, state, points, loads, motion, self._rates(time, state, motion))
+
+    def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        if not self.mobility.evaluations:
+            with self.profile.stage("start"):
+                return self.mobility(points, loads)
+        with self.profile.stage("sums"):
+            motion = self.mobility(points, loads)
+            for info in self.mobility.infos():
+                self.profile.divide(info["seconds"], info["near_pairs"], info["far_pairs"])
+        return motion
 
     def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
         loads = np.zeros((self._count, self._width))
@@ -355,7 +374,8 @@ class Simulation:
             steps = self.stepper.steps
             if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
                 self._correct()
-            with np.errstate(over="ignore", invalid="ignore"):
+            ignoring = np.errstate(over="ignore", invalid="ignore")
+            with self.profile.stage("integrator"), ignoring:
                 time, state = self.stepper.step(self, self.time, self.state, stop)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = self._explained(error)
@@ -380,8 +400,9 @@ class Simulation:
     def _correct(self) -> None:
         """Let the sums meet their tolerance again."""
         now = self.evaluate(self.time, self.state)
-        if self.mobility.correct(now.points, now.loads):
-            self._evaluation = None
+        with self.profile.stage("error samples"):
+            if self.mobility.correct(now.points, now.loads):
+                self._evaluation = None
 
     def _where(self, row: int) -> str:
         """Say which coordinate is not finite."""
@@ -426,6 +447,7 @@ class Simulation:
         if t_end < self.time:
             raise ValueError(f"t_end must be at least the present time {self.time:g}, got {t_end}")
         with ExitStack() as stack:
+            stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
                 self._enter(self.output, stack)
             self._run(max_walltime)
@@ -445,21 +467,24 @@ class Simulation:
         start = clock.monotonic()
         begun = []
         try:
-            for tracker in self.trackers:
-                begun.append(tracker)
-                tracker.initialize(self)
+            with self.profile.stage("output"):
+                for tracker in self.trackers:
+                    begun.append(tracker)
+                    tracker.initialize(self)
             while self.time < self.t_end:
                 stop = min(
                     [self.t_end, *(tracker.next_time(self.time) for tracker in self.trackers)]
                 )
                 self.step(stop)
-                for tracker in self.trackers:
-                    tracker.handle(self)
+                with self.profile.stage("output"):
+                    for tracker in self.trackers:
+                        tracker.handle(self)
                 if max_walltime is not None and clock.monotonic() - start >= max_walltime:
                     break
         finally:
-            for tracker in begun:
-                tracker.finalize(self)
+            with self.profile.stage("output"):
+                for tracker in begun:
+                    tracker.finalize(self)
             self.resumed = True  # a second call goes on
 
 

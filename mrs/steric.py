@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from mrs import check
 
@@ -58,7 +58,7 @@ class Steric:
             Length of a closed rod, infinite for what is open.
         """
         reach = 2.0 * self.chi * self.radius
-        i, j = cKDTree(points).query_pairs(reach, output_type="ndarray").T
+        i, j = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray").T
         along = np.abs(places[i] - places[j])
         along = np.minimum(along, rounds[i] - along)
         apart = (pieces[i] != pieces[j]) | (along > reach)

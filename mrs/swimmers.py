@@ -10,8 +10,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
+import scipy
 
 from mrs import check, geometry, rotations
 from mrs.bodies import Body
@@ -206,7 +205,8 @@ def random_suspension(
 def _apart(bodies: np.ndarray, flagella: np.ndarray, spacing: float) -> np.ndarray:
     """Return which swimmers to keep: of two that overlap, the earlier one."""
     count = len(bodies)
-    pairs = cKDTree(np.concatenate([bodies, flagella])).query_pairs(spacing, output_type="ndarray")
+    tree = scipy.spatial.cKDTree(np.concatenate([bodies, flagella]))
+    pairs = tree.query_pairs(spacing, output_type="ndarray")
     pairs = np.sort(pairs % count, axis=1)
     keep = np.ones(count, bool)
     keep[pairs[pairs[:, 0] != pairs[:, 1]][:, 1]] = False
@@ -215,7 +215,7 @@ def _apart(bodies: np.ndarray, flagella: np.ndarray, spacing: float) -> np.ndarr
 
 def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
     """Return unit vectors, uniform over the sphere, (count, 3)."""
-    return Rotation.random(count, rng).apply(_AXIS[0]).reshape(-1, 3)
+    return scipy.spatial.transform.Rotation.random(count, rng).apply(_AXIS[0]).reshape(-1, 3)
 
 
 def lattice_suspension(

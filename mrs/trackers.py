@@ -13,6 +13,7 @@ from tqdm import tqdm
 
 from mrs import check, rundir
 from mrs.output import checkpoint, live, log, paraview, vtkhdf
+from mrs.output.atomic import replacing
 
 if TYPE_CHECKING:
     from mrs.bodies import Body
@@ -190,7 +191,10 @@ class Log(_Frames):
 
     def write(self, sim: Simulation) -> None:
         now = sim.evaluate(sim.time, sim.state)
-        sampled = round(sim.time / self.interval) % self._SAMPLE_EVERY == 0
+        error: float | str = ""
+        if round(sim.time / self.interval) % self._SAMPLE_EVERY == 0:
+            with sim.profile.stage("error samples"):
+                error = sim.mobility.sampled_error(now.points, now.loads)
         row = {
             "step": sim.stepper.steps,
             "t": sim.time,
@@ -200,7 +204,7 @@ class Log(_Frames):
             "evaluations": sim.mobility.evaluations,
             "max_speed": float(np.linalg.norm(now.motion[:, :3], axis=1).max(initial=0.0)),
             "elastic_energy": sim.energy(),
-            "sampled_error": sim.mobility.sampled_error(now.points, now.loads) if sampled else "",
+            "sampled_error": error,
             "dt_lambda_max": sim.stepper.h_lambda,
             "backends": " ".join(map(str, sim.mobility.choices)),
         }
@@ -247,6 +251,16 @@ class Progress(Tracker):
     def finalize(self, sim: Simulation) -> None:
         if hasattr(self, "_bar"):
             self._bar.close()
+
+
+class ProfileTable(Tracker):
+    """Prints, at the end, where the time went; and writes profile.csv with the other files."""
+
+    def finalize(self, sim: Simulation) -> None:
+        print(sim.profile)
+        if sim.output is not None:
+            with replacing(Path(sim.output.directory) / "profile.csv") as temporary:
+                temporary.write_text(sim.profile.csv())
 
 
 _BAR = "{l_bar}{bar}| t={n:.4g}/{total:.4g} [{elapsed}<{remaining}, {rate_fmt}]"

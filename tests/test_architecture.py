@@ -41,6 +41,7 @@ ALLOWED = {
     "mrs.check": {"treecode.check"},
     "mrs.rotations": set(),
     "mrs.state": {"mrs.rotations"},
+    "mrs.profile": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
     "mrs.bodies": {"mrs.state"},
@@ -58,8 +59,8 @@ ALLOWED = {
         "mrs.bodies", "mrs.simulation",  # their types
     },
     "mrs.simulation": {
-        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.rundir", "mrs.state",
-        "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.profile", "mrs.rundir",
+        "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
     "mrs.scenario": {"mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs": {"mrs"},

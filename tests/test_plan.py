@@ -115,7 +115,7 @@ def test_info_before_and_after():
     plan.execute(np.ones((500, 3)))
     info = plan.info()
     assert info["sources"] == info["targets"] == 500
-    assert set(info["seconds"]) == {"tree", "weights", "sum"}
+    assert set(info["seconds"]) == {"tree", "weights", "near", "far", "walk"}
     assert info["bytes"] >= 500 * 4 * 8  # coordinates and order at least
     assert info["clusters"] > 1
     assert info["depth"] >= 1

@@ -104,6 +104,21 @@ def test_walltime_stops_in_good_order_and_resume_ends_the_same(tmp_path):
     assert_equal_runs(whole, halves)
 
 
+def test_a_profile_changes_nothing(tmp_path, capsys):
+    plain, profiled = tmp_path / "plain", tmp_path / "profiled"
+    assert cli.main(swim(plain, 0.2)) == 0
+    assert "| near |" not in capsys.readouterr().out
+    assert cli.main([*swim(profiled, 0.2), "--profile"]) == 0
+    assert "| near |" in capsys.readouterr().out
+    assert_equal_runs(plain, profiled)
+    with (profiled / "profile.csv").open() as file:
+        pairs = {row["stage"]: row["pairs"] for row in csv.DictReader(file)}
+    evaluations = mrs.runs.info(profiled)["log"]["evaluations"]
+    assert int(pairs["near"]) == (int(evaluations) - 1) * 41**2
+    assert cli.main([*swim(profiled, 0.2), "--overwrite"]) == 0
+    assert not (profiled / "profile.csv").exists()
+
+
 def test_interrupt_leaves_a_checkpoint(tmp_path):
     """Ctrl-C while the third step is computed: the state after the second is kept."""
 
@@ -221,8 +236,8 @@ def test_a_scenario_of_ones_own(tmp_path):
 
 
 def test_nothing_needs_pictures_to_compute():
-    """pyvista, vtk, meshio and imageio are imported by what uses them only."""
-    heavy = {"pyvista", "vtk", "vtkmodules", "meshio", "imageio", "matplotlib"}
+    """pyvista, vtk, meshio, imageio and scipy's parts are imported by what uses them only."""
+    heavy = {"pyvista", "vtk", "vtkmodules", "meshio", "imageio", "matplotlib", "scipy.spatial"}
     code = f"import sys, mrs, mrs.cli; print(sorted({heavy} & set(sys.modules)))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"

@@ -12,7 +12,9 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import platform
 import sys
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -155,6 +157,27 @@ def _no_vectors() -> None:
 # AVX-512 processors; 512 bits are up to 1.6 times faster here (benchmarks/README.md). The
 # attribute belongs to one function, where numba's CPU settings would change every other library.
 wide_vectors = _no_vectors if INTERPRETED else _wide_vectors
+
+
+@intrinsic
+def _ticks(typing_context):
+    def codegen(context, builder, signature, arguments):
+        signature = ir.FunctionType(ir.IntType(64), ())
+        counter = builder.module.declare_intrinsic("llvm.readcyclecounter", fnty=signature)
+        return builder.call(counter, ())
+
+    return types.int64(), codegen
+
+
+@inlined
+def _no_ticks():
+    """Stand in for `ticks` on other processors, where programs may not read the counter."""
+    return 0
+
+
+# In a compiled function, a clock in a unit of its own.
+_compiled_ticks = _ticks if platform.machine() in ("x86_64", "AMD64") else _no_ticks
+ticks: Any = time.perf_counter_ns if INTERPRETED else _compiled_ticks
 
 
 @intrinsic

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from treecode._jit import Driver, inlined, method_hook, standalone
+from treecode._jit import Driver, inlined, method_hook, standalone, ticks
 from treecode._lanes import LANES
 from treecode.kernels.base import SMALLEST, strength_row, weights
 from treecode.pairs import accumulate
@@ -17,6 +17,10 @@ from treecode.tree import Tree
 # that every thread has work and that their sums stay in the first-level cache.
 BATCH_SIZE = 512
 
+# Notes on a batch: pairs summed, and ticks of a clock that went by meanwhile.
+NEAR_PAIRS, FAR_PAIRS, NEAR_TICKS, FAR_TICKS, ALL_TICKS = range(5)
+NOTES = 5
+
 
 def acceptance(tree: Tree, theta: float) -> np.ndarray:
     """Return the square of the distance from which each cluster is well separated, (r/theta)^2.
@@ -24,6 +28,18 @@ def acceptance(tree: Tree, theta: float) -> np.ndarray:
     A target exactly at the centre of a cluster without extent is not well separated (r/R is 0/0).
     """
     return np.maximum((tree.radius / theta) ** 2, SMALLEST)
+
+
+def accepted(tree: Tree, distance2: np.ndarray, targets: Tree) -> np.ndarray:
+    """Tell which clusters some target may be far from: the others need no expansion, (C,).
+
+    Those that the farthest corner of the box around the targets is not far from have none. The root
+    of a tree is such a cluster where targets are sources.
+    """
+    if not len(targets.radius):
+        return np.zeros(len(tree.radius), bool)
+    corner = np.abs(tree.center - targets.center[:, :1]) + targets.half[:, :1]
+    return (corner * corner).sum(axis=0) >= distance2
 
 
 @method_hook
@@ -69,17 +85,31 @@ def _separate(distance2, center, block, live, identity):
         identity[near], identity[end - 1] = identity[end - 1], identity[near]
 
 
+@inlined
+def _sum_points(kernel, block, first, last, sources, weights, start, stop, out, notes):
+    since = ticks()
+    accumulate(kernel, block, first, last, sources, weights, start, stop, out)
+    notes[NEAR_TICKS] += ticks() - since
+    notes[NEAR_PAIRS] += (last - first) * (stop - start)
+
+
+@inlined
+def _sum_terms(kernel, expansion, tree, cluster, block, first, last, out, notes):
+    since = ticks()
+    approximate(expansion, kernel, tree, cluster, block, first, last, out)
+    notes[FAR_TICKS] += ticks() - since
+    notes[FAR_PAIRS] += (last - first) * terms(expansion)
+
+
 @standalone
-def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack):
-    """Sum over all sources for one batch; return the pairs summed near and far.
+def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack, notes):
+    """Sum over all sources for one batch.
 
     `block` holds the coordinates of the targets and, below them, their sums. The decision is
     taken target by target, as in the papers: at each cluster the targets that accept it are
     moved to the end of those that arrived, and the rest go on. Both are contiguous.
     """
     out = block[3:]
-    near_pairs = 0
-    far_pairs = 0
     stack[0, 0] = 0
     stack[0, 1] = len(identity)
     height = 1
@@ -90,26 +120,23 @@ def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity,
         near = _separate(distance2[cluster], tree.center[:, cluster], block, live, identity)
         if near < live:
             if holds(expansion, cluster):
-                approximate(expansion, kernel, tree, cluster, block, near, live, out)
-                far_pairs += (live - near) * terms(expansion)
+                _sum_terms(kernel, expansion, tree, cluster, block, near, live, out, notes)
             else:
-                accumulate(kernel, block, near, live, sources, weights, start, stop, out)
-                near_pairs += (live - near) * (stop - start)
+                _sum_points(kernel, block, near, live, sources, weights, start, stop, out, notes)
         if near > 0:
             if tree.children[cluster] == 0:
-                accumulate(kernel, block, 0, near, sources, weights, start, stop, out)
-                near_pairs += near * (stop - start)
+                _sum_points(kernel, block, 0, near, sources, weights, start, stop, out, notes)
             for k in range(tree.children[cluster]):
                 stack[height, 0] = tree.child[cluster] + k
                 stack[height, 1] = near
                 height += 1
-    return near_pairs, far_pairs
 
 
 @standalone
 def _evaluate_batch(
-    kernel, expansion, tree, distance2, sources, weights, targets, order, batch, values, pairs
+    kernel, expansion, tree, distance2, sources, weights, targets, order, batch, values, notes
 ):
+    since = ticks()
     first = batch * BATCH_SIZE
     size = min(BATCH_SIZE, targets.shape[1] - first)
     block = np.zeros((3 + values.shape[1], size + LANES - 1))
@@ -119,17 +146,16 @@ def _evaluate_batch(
         for d in range(3):
             block[d, i] = targets[d, first + i]
     stack = np.empty((7 * (tree.level[-1] + 1) + 1, 2), np.int64)
-    pairs[batch, 0], pairs[batch, 1] = _walk(
-        kernel, expansion, tree, distance2, sources, weights, block, identity, stack
-    )
+    _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack, notes)
     for i in range(size):
         for c in range(values.shape[1]):
             values[identity[i], c] = block[3 + c, i]
+    notes[ALL_TICKS] = ticks() - since
 
 
 @Driver
 def evaluate_batches(
-    kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, values, pairs
+    kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, values, notes
 ):
     """Evaluate the batches ``begin:end`` of targets.
 
@@ -152,8 +178,8 @@ def evaluate_batches(
     begin, end : int
     values : (M, value_size) float64
         Overwritten.
-    pairs : (number of batches, 2) int64
-        Near and far pairs of each batch, overwritten.
+    notes : (number of batches, NOTES) int64
+        Zeros, to which those of each batch are added.
     """
     for batch in prange(begin, end):
         _evaluate_batch(
@@ -167,7 +193,7 @@ def evaluate_batches(
             order,
             batch,
             values,
-            pairs,
+            notes[batch],
         )
 
 

@@ -28,8 +28,8 @@ class Interpolation(NamedTuple):
     nodes : (n + 1,) float64
         Chebyshev points of the second kind on [-1, 1] (K eq. 3.2).
     slot : (C,) int64
-        Row of a cluster in `weights`; -1 for a cluster with no more points than proxies, which
-        is summed directly: that is cheaper, and exact.
+        Row of a cluster in `weights`; -1 for a cluster that no target is far from, and for one with
+        no more points than proxies, which is summed directly: that is cheaper, and exact.
     weights : (clusters with a slot, weight_size, (n + 1)^3) float64
     """
 
@@ -73,9 +73,9 @@ def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
 distance2 = acceptance
 
 
-def prepare(kernel: Kernel, tree: Tree, degree: int) -> Interpolation:
-    """Allocate the modified weights of degree `degree` for the clusters that are worth it."""
-    worth = tree.stop - tree.start > (degree + 1) ** 3
+def prepare(kernel: Kernel, tree: Tree, degree: int, wanted: np.ndarray) -> Interpolation:
+    """Allocate the modified weights of degree `degree` for the `wanted` clusters worth it."""
+    worth = wanted & (tree.stop - tree.start > (degree + 1) ** 3)
     slot = np.where(worth, np.cumsum(worth) - 1, -1)
     # The sine gives points that are symmetric to the last bit.
     nodes = np.sin(np.pi * (degree - 2 * np.arange(degree + 1)) / (2 * degree))

@@ -19,6 +19,7 @@ and (31) with their sums over shifted derivatives done once a cluster, not once 
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import product
 from math import comb
 from typing import Any, NamedTuple, Protocol
@@ -116,7 +117,8 @@ class Expansion(NamedTuple):
     number : (order + 1, order + 1, order + 1) int64
         Number of a multi-index.
     slot : (C,) int64
-        Row of a cluster in `moments`; -1 for a cluster of fewer points than terms.
+        Row of a cluster in `moments`; -1 for a cluster that no target is far from, or of no more
+        points than terms.
     contractions : (n, 3) int64
     moments : (clusters with a slot, weight_size + n, summed) float64
     """
@@ -171,9 +173,10 @@ def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
 distance2 = acceptance
 
 
-def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
-    """Make the tables of order `degree`, and room for the moments of clusters that are worth it."""
-    outer_order = degree + kernel.derivatives
+@cache
+def _tables(degree: int, derivatives: int) -> dict[str, Any]:
+    """Return what an expansion needs to know about multi-indices; a millisecond at order 7."""
+    outer_order = degree + derivatives
     summed, inner, outer = (comb(n + 3, 3) for n in (degree, outer_order - 1, outer_order))
     indices = product(range(outer_order + 1), repeat=3)
     exponents = np.array(sorted((k for k in indices if sum(k) <= outer_order), key=sum)).reshape(
@@ -182,7 +185,6 @@ def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
     numbers = {tuple(k): n for n, k in enumerate(exponents.tolist())}
     unit = np.eye(3, dtype=np.int64)
     total = np.maximum(exponents.sum(axis=1), 1)
-    worth = tree.stop - tree.start > summed
     number = np.full((degree + 1,) * 3, -1)
     number[tuple(exponents[:summed].T)] = np.arange(summed)
 
@@ -192,32 +194,41 @@ def prepare(kernel: TaylorKernel, tree: Tree, degree: int) -> Expansion:
             np.uintp,  # a signed index is tested for its sign at every access
         )
 
+    return {
+        "order": degree,
+        "summed": summed,
+        "inner": inner,
+        "outer": outer,
+        "exponents": exponents,
+        "rows": np.arange(inner, dtype=np.uintp),
+        "up": shifted(exponents[:inner], 1),
+        "down": shifted(exponents, -1),
+        "down2": shifted(exponents, -2),
+        "factor": np.ascontiguousarray((exponents * ((2 * total - 1) / total)[:, None]).T),
+        "factor2": np.ascontiguousarray(
+            (exponents * (exponents - 1) * ((total - 1) / total)[:, None]).T
+        ),
+        "number": number,
+    }
+
+
+def prepare(kernel: TaylorKernel, tree: Tree, degree: int, wanted: np.ndarray) -> Expansion:
+    """Choose the unit, and make room for the moments of the `wanted` clusters worth it."""
+    tables = _tables(degree, kernel.derivatives)
+    worth = wanted & (tree.stop - tree.start > tables["summed"])
     radius = tree.radius.max(initial=0.0)
     scale = 2.0 ** -np.frexp(radius)[1] if radius > 0.0 else 1.0
     contractions = np.array(kernel.contractions, np.int64).reshape(-1, 3)
-    shape = (np.count_nonzero(worth), kernel.weight_size + len(contractions), summed)
+    rows = kernel.weight_size + len(contractions)
     return Expansion(
-        order=degree,
-        summed=summed,
-        inner=inner,
-        outer=outer,
+        **tables,
         epsilon=float(getattr(kernel, "epsilon", 0.0)) * scale,
         scale=scale,
         weight_scale=scale ** np.array(kernel.weight_lengths, np.float64),
         value_scale=scale ** np.array(kernel.value_lengths, np.float64),
-        exponents=exponents,
-        rows=np.arange(inner, dtype=np.uintp),
-        up=shifted(exponents[:inner], 1),
-        down=shifted(exponents, -1),
-        down2=shifted(exponents, -2),
-        factor=np.ascontiguousarray((exponents * ((2 * total - 1) / total)[:, None]).T),
-        factor2=np.ascontiguousarray(
-            (exponents * (exponents - 1) * ((total - 1) / total)[:, None]).T
-        ),
-        number=number,
         slot=np.where(worth, np.cumsum(worth) - 1, -1),
         contractions=contractions,
-        moments=np.empty(shape),
+        moments=np.empty((np.count_nonzero(worth), rows, tables["summed"])),
     )
 
 

@@ -1,0 +1,112 @@
+"""Where the time of a run goes."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple
+
+STAGES = {
+    "start": "the first evaluation: compiling, or loading what is compiled; choosing backends",
+    "tree": "points sorted into boxes",
+    "operators": "of the fast multipole method, built or read",
+    "weights": "strengths in tree order; of treecodes also the expansions of all clusters",
+    "upward": "expansions of cubes, from points and from their children",
+    "translations": "from cubes to cubes",
+    "downward": "from cubes to their children",
+    "near": "points to points",
+    "far": "expansions to points",
+    "walk": "what else the walk down the tree takes; all of it without a counter of cycles",
+    "sums": "what else the sums take: copies, checks",
+    "forces": "of the bodies, and their motion from that of the fluid",
+    "background": "flow without the bodies",
+    "integrator": "local coordinates, combinations of stages, step sizes",
+    "error samples": "the sums compared with direct ones at a few targets",
+    "output": "trajectories, log, checkpoints, progress, and trackers of one's own",
+    "remainder": "everything else between begin and end of the run",
+}
+
+
+class Row(NamedTuple):
+    """One stage of a profile."""
+
+    stage: str
+    seconds: float
+    pairs: int | None
+
+
+class Profile:
+    """Seconds by stage (`STAGES`), of all that a simulation has done so far.
+
+    Stages may be open within others. The time of the inner one is not also that of the outer, so
+    that all together give the time during which any was open: in `Simulation.run`, all of it.
+
+    Attributes
+    ----------
+    seconds : dict
+        By stage.
+    pairs : dict
+        Pairs summed "near", and terms of expansions "far"; for "fmm" cubes and translations.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.pairs: defaultdict[str, int] = defaultdict(int)
+        self._open: list[str] = []
+        self._noted = 0.0
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count what is done inside as one stage."""
+        self._note()
+        self._open.append(name)
+        try:
+            yield
+        finally:
+            self._note()
+            self._open.pop()
+
+    def divide(self, seconds: Mapping[str, float], near: int, far: int) -> None:
+        """Give parts of the time of the innermost stage, measured there, to others; count pairs."""
+        self._note()
+        for name, part in seconds.items():
+            self.seconds[name] += part
+            self.seconds[self._open[-1]] -= part
+        self.pairs["near"] += near
+        self.pairs["far"] += far
+
+    def _note(self) -> None:
+        """Give the time since the last note to the innermost stage."""
+        now = time.perf_counter()
+        if self._open:
+            self.seconds[self._open[-1]] += now - self._noted
+        self._noted = now
+
+    def rows(self) -> list[Row]:
+        """Return the stages that there were, in the order of `STAGES`."""
+        self._note()
+        done = [name for name in STAGES if name in self.seconds]
+        return [Row(name, self.seconds[name], self.pairs.get(name)) for name in done]
+
+    def __str__(self) -> str:
+        """Return a Markdown table."""
+        rows = self.rows()
+        total = sum(row.seconds for row in rows)
+        lines = ["| stage | seconds | % | pairs | what |", "|---|---|---|---|---|"]
+        for row in rows:
+            pairs = "" if row.pairs is None else f"{row.pairs:.3g}"
+            share = 100.0 * row.seconds / total if total else 0.0
+            lines.append(
+                f"| {row.stage} | {row.seconds:.3f} | {share:.1f} | {pairs} | {STAGES[row.stage]} |"
+            )
+        return "\n".join([*lines, f"| all | {total:.3f} | 100.0 | | |"])
+
+    def csv(self) -> str:
+        """Return the same for programs: stage, seconds, pairs."""
+        lines = [
+            f"{row.stage},{row.seconds},{'' if row.pairs is None else row.pairs}"
+            for row in self.rows()
+        ]
+        return "\n".join(["stage,seconds,pairs", *lines]) + "\n"
