@@ -68,15 +68,24 @@ class Choice(NamedTuple):
     def __str__(self) -> str:
         if self.backend == "fmm":
             return f"fmm({self.tol:.2g})"
-        return self.backend + (f"({self.theta:g}/{self.degree})" if self.theta else "")
+        if self.backend in DEGREES:
+            return f"{self.backend}({self.theta:g}/{self.degree})"
+        return self.backend
 
     def sum(self, kernel: Kernel, progress: bool = False) -> Walk | Multipole:
         """Return the sum, without points yet."""
         if self.backend == "fmm":
-            rest = self.tol or 0.0, self.degree, self.leaf_size, progress, self.width or 0.0
-            return Multipole(kernel, *rest)
-        rest = self.theta or 0.5, self.degree or 0, self.leaf_size or 1
-        return Walk(WALKS[self.backend], kernel, *rest, progress)
+            return Multipole(
+                kernel, self.tol or 0.0, self.degree, self.leaf_size, progress, self.width or 0.0
+            )
+        return Walk(
+            WALKS[self.backend],
+            kernel,
+            self.theta or 0.5,
+            self.degree or 0,
+            self.leaf_size or 1,
+            progress,
+        )
 
 
 class Error(NamedTuple):
@@ -110,16 +119,13 @@ def sampled_error(
     Half of the targets are drawn evenly and half in proportion to the squares of their values, so
     that neither many small errors nor a few large values are missed.
     """
+    if not np.isfinite(values).all():
+        return Error(math.inf, math.inf, math.inf)
     units = _units(kernel)
     peak = np.abs(values).max(initial=0.0) or 1.0
     power = (values / peak) ** 2 @ units
     total = power.sum(axis=0)
-    drawn, weight = np.arange(len(values)), np.ones(len(values))
-    if samples < len(values):
-        share = 1.0 / len(values) + (power / np.where(total > 0.0, total, 1.0)).mean(axis=1)
-        share /= share.sum()
-        drawn = np.random.default_rng(seed).choice(len(values), samples, p=share)
-        weight = 1.0 / (samples * share[drawn])
+    drawn, weight = _draw(power, samples, seed)
     place = np.empty_like(done.target_order)
     place[done.target_order] = np.arange(len(values))
     exact = _direct(kernel, done.sources, done.targets[:, place[drawn]])
@@ -133,6 +139,18 @@ def sampled_error(
         float(_ratio(sums, norm).max()),
         float(_ratio(sums + 2.0 * deviation, norm).max()),
     )
+
+
+def _draw(power: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows, all of them if there are few, and how many others each stands for."""
+    count = len(power)
+    if samples >= count:
+        return np.arange(count), np.ones(count)
+    total = power.sum(axis=0)
+    share = 1.0 / count + (power / np.where(total > 0.0, total, 1.0)).mean(axis=1)
+    share /= share.sum()
+    drawn = np.random.default_rng(seed).choice(count, samples, p=share)
+    return drawn, 1.0 / (samples * share[drawn])
 
 
 def _ratio(squares: Any, norm: Any) -> Any:
@@ -258,8 +276,10 @@ class _Case:
         """
         done = _direct(self._search.kernel, self._sources, self._pilots.copy())
         exact = done.execute(strengths)
-        taken = np.random.default_rng(0).integers(0, 2, (len(strengths), 1))
-        spread = float(np.linalg.norm(2.0 * done.execute(taken * strengths) - exact))
+        rng, spread = np.random.default_rng(0), 0.0
+        for _ in range(8 if len(strengths) <= _PILOTS else 1):  # few may all be taken
+            taken = rng.integers(0, 2, (len(strengths), 1)) * strengths
+            spread = max(spread, float(np.linalg.norm(2.0 * done.execute(taken) - exact)))
         size = float(np.linalg.norm(exact))
         if size > 0.0 and _ROUNDING * spread > self._search.tolerance * size:
             loss = spread / size
