@@ -123,7 +123,7 @@ def achieved(kernel, points, strengths, values):
 
 
 def solve(case):
-    """Return the achieved error and the plan; None and the error where the tolerance is refused."""
+    """Return the achieved error and the plan."""
     kernel, points, strengths = case.make()
     plan = tc.Plan(kernel, tol=case.tol).set_points(points)
     values = plan.execute(strengths)
@@ -135,10 +135,11 @@ def solve(case):
 
 @pytest.mark.parametrize("seed", range(24))
 def test_reaches_what_is_asked(seed):
-    """Random sums, which benchmarks/tolerance.py has more and larger of."""
+    """Random sums done once; benchmarks/tolerance.py has more and larger ones, done by plans."""
     case = Case.draw(seed, 4000)
-    error, _ = solve(case)
-    assert error <= case.tol, case
+    kernel, points, strengths = case.make()
+    values = tc.evaluate(kernel, points, strengths, tol=case.tol)
+    assert achieved(kernel, points, strengths, values) <= case.tol, case
 
 
 @pytest.mark.slow

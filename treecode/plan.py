@@ -180,7 +180,7 @@ class Plan:
         strengths = self._checked(strengths)
         if self._sum:
             values = self._sum.execute(strengths)
-        elif self._search and strengths.any():
+        elif self._search and strengths.any() and self._require_points()[1]:
             values = self._choose(self._search, strengths)
         else:  # nothing to choose by
             values = np.zeros((self._require_points()[1], self.kernel.value_size))
