@@ -43,7 +43,7 @@ _PILOTS = 64  # targets at which errors are looked at before a sum
 _SAMPLES = 192  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.5  # by which errors may be larger than expected
-_SUMS = 1000  # that share the operators of "fmm"
+_SUMS = 300  # that share the operators of "fmm"
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
 
