@@ -109,9 +109,7 @@ def treecodes(cases: list[Case], backend: str) -> dict[str, Any]:
 
 def fast_multipole(cases: list[Case]) -> dict[str, Any]:
     """Return the model of the fast multipole method."""
-    work: dict[str, list[Any]] = {"single": [], "double": []}
-    seconds: dict[str, list[float]] = {"single": [], "double": []}
-    asked, digits, tolerances, builds = [], [], [], []
+    work, seconds, asked, digits, tolerances, builds = [], [], [], [], [], []
     for tol in TOLERANCES:
         for case in cases.copy():
             start = time.process_time()
@@ -126,17 +124,15 @@ def fast_multipole(cases: list[Case]) -> dict[str, Any]:
             price = multipole.Multipole(case.kernel, tol).price(
                 np.ascontiguousarray(case.points.T), None
             )
-            precision = "single" if tol >= multipole.SINGLE else "double"
-            work[precision].append(auto.multipole_work(tol, price, 2 * len(case.points)))
-            seconds[precision].append(time_taken)
+            work.append(auto.multipole_work(tol, price, 2 * len(case.points)))
+            seconds.append(time_taken)
             asked.append(math.log10(tol))
             digits.append(math.log10(error / case.probe))
             if build > 0.1:
                 tolerances.append(math.log10(tol))
                 builds.append(math.log10(build))
     return {
-        "single": fit(work["single"], seconds["single"]),
-        "double": fit(work["double"], seconds["double"]),
+        "seconds": fit(work, seconds),
         "error": line(asked, digits),
         "build": line(tolerances, builds),
     }

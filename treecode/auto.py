@@ -448,8 +448,7 @@ class Model:
 
     def multipole_seconds(self, tol: float, price: float, points: int) -> float:
         """Return how long a sum by "fmm" takes that is worth `price` near pairs."""
-        rates = self._fitted["fmm"]["single" if tol >= SINGLE else "double"]
-        return float(np.dot(rates, multipole_work(tol, price, points)))
+        return float(np.dot(self._fitted["fmm"]["seconds"], multipole_work(tol, price, points)))
 
     def building_seconds(self, tol: float) -> float:
         """Return how long the operators of "fmm" take to build."""
@@ -463,8 +462,9 @@ class Model:
 
 
 def multipole_work(tol: float, price: float, points: int) -> list[float]:
-    """Return what the seconds of "fmm" are made of."""
-    return [price, points, -points * math.log10(tol) ** 3]
+    """Return what the seconds of "fmm" are made of: pairs in single and in double, and points."""
+    single = tol >= SINGLE
+    return [price * single, price * (not single), points, -points * math.log10(tol) ** 3]
 
 
 @cache
