@@ -173,7 +173,7 @@ class Live(_BodyFiles):
 class Log(_Frames):
     """log.csv: how the run is doing."""
 
-    _SAMPLE_EVERY = 10  # rows; a sampled error costs about as much as a direct sum at 1000 targets
+    _SAMPLE_EVERY = 10  # rows; a sampled error costs a sum and direct ones at 1000 targets
 
     def __init__(self, output: Output) -> None:
         super().__init__(output)

@@ -36,6 +36,10 @@ ALLOWED = {
         "treecode.fmm", "treecode.kernels.base", "treecode.traversal",
     },
     "treecode.fmm": set(),
+    "treecode.auto": {
+        "treecode.backends", "treecode.fmm.multipole", "treecode.kernels.base",
+        "treecode.traversal", "treecode.tree",
+    },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},

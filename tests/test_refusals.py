@@ -32,6 +32,7 @@ CALLS = [
     *[
         ("theta", value, ["between 0 and 1", repr(value)])
         for value in (*BAD_NUMBERS, 0, 1, 1.5, -0.5, "a")
+        if value is not None
     ],
     *[
         ("degree", value, ["integer from 1 to", repr(value)])

@@ -1,6 +1,7 @@
 """Fast summation of the kernels of Stokes flow: direct, kernel-independent and Taylor treecodes."""
 
 from treecode._lanes import inverse_sqrt, where
+from treecode.auto import Choice, ToleranceError
 from treecode.kernels import (
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
@@ -11,12 +12,14 @@ from treecode.kernels.base import Kernel
 from treecode.plan import Plan, evaluate, relative_error
 
 __all__ = [
+    "Choice",
     "Kernel",
     "Plan",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",
     "Stokeslet",
     "StokesletStresslet",
+    "ToleranceError",
     "evaluate",
     "inverse_sqrt",
     "relative_error",

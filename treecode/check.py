@@ -64,6 +64,12 @@ def one_of(name: str, value: Any, allowed: Any) -> str:
     return value
 
 
+def absent(name: str, value: Any, where: str) -> None:
+    """Refuse a value that something else decides."""
+    if value is not None:
+        raise ValueError(f"{name} must be None {where}, got {value!r}")
+
+
 def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.ndarray:
     """Return `value` as a finite (N, columns) float64 array; N must be `count` if that is given."""
     shape = f"({'N' if count is None else count}, {columns})"

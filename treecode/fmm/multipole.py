@@ -28,7 +28,7 @@ KERNEL_MEMBERS = MEMBERS
 # An operator's error in the mean square as part of the tolerance: strengths that cancel, and
 # points that crowd in corners of cubes, make more of it.
 _SAFETY = 0.4
-_SINGLE = 3e-6  # tolerance from which single precision serves, if it does for the kernel
+SINGLE = 3e-6  # tolerance from which single precision serves, if it does for the kernel
 _FIRST = 2  # the coarsest level with cubes that do not touch
 _DIRECT = 16  # leaves
 _CHUNK = 256  # cubes that one thread takes at a time
@@ -48,18 +48,19 @@ class Multipole:
         self,
         kernel: Kernel,
         tolerance: float,
-        degree: int | None,
-        leaf_size: int | None,
-        progress: bool,
+        degree: int | None = None,
+        leaf_size: int | None = None,
+        progress: bool = False,
+        width: float = 0.0,
     ) -> None:
-        self.kernel, self.tolerance, self.degree = kernel, tolerance, degree
+        self.kernel, self.tolerance, self.degree, self.width = kernel, tolerance, degree, width
         self._progress = progress
         self._dtype: Any = np.float64
-        self._box_cost = _box_cost(kernel, _SAFETY * tolerance, tolerance >= _SINGLE)
+        self._box_cost = _box_cost(kernel, _SAFETY * tolerance, tolerance >= SINGLE)
         self.leaf_size = leaf_size or int(2.0 * math.sqrt(self._box_cost / 27.0))
         # Below this many points no cube is worth its translations.
         self._direct = 0 if leaf_size else int(_DIRECT * self.leaf_size)
-        self._width = 0.0
+        self._price = math.inf
         self._served: tuple[int, list[float]] = 0, []
         self._levels: dict[int, Level] = {}
         self._transfers: dict[int, Transfer] = {}
@@ -83,7 +84,7 @@ class Multipole:
             self._choose_width(points, split)
             few = points.shape[1] <= self._direct
             self._tree, self.source_order, self.target_order = build_octree(
-                points, split, points.shape[1] if few else self.leaf_size, self._width
+                points, split, points.shape[1] if few else self.leaf_size, self.width
             )
             if same:
                 self.sources = self.targets = points
@@ -93,6 +94,14 @@ class Multipole:
             self._find_neighbours(self._tree)
         with self._stage("operators"):
             self._get_operators(self._tree)
+
+    def price(self, sources: np.ndarray, targets: np.ndarray | None) -> float:
+        """Return what a sum over such points is worth in near pairs; no operators are needed."""
+        points = sources if targets is None else np.concatenate([sources, targets], axis=1)
+        self._choose_width(points, None if targets is None else sources.shape[1])
+        if points.shape[1] <= self._direct:
+            return float(sources.shape[1] * (sources if targets is None else targets).shape[1])
+        return self._price
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
@@ -156,7 +165,7 @@ class Multipole:
     def _choose_width(self, points: np.ndarray, split: int | None) -> None:
         """Choose the side of the root, which sets how full the leaves are; keep it if it fits."""
         widths = root_widths(points)
-        if widths[0] <= self._width <= widths[-1]:
+        if widths[0] <= self.width <= widths[-1]:
             return
         every = -(-points.shape[1] // _SAMPLE)
         sample = points[:, ::every]
@@ -172,7 +181,7 @@ class Multipole:
             pairs = float(near @ np.diff(tree.target)[leaves, 0]) * every**2
             return pairs + self._box_cost * np.count_nonzero(tree.level >= _FIRST)
 
-        self._width = min(widths, key=cost)
+        self._price, self.width = min((cost(width), width) for width in widths)
 
     def _find_neighbours(self, tree: Octree) -> None:
         """List what acts directly: leaves on leaves, and cubes on cubes of another size."""
@@ -204,7 +213,7 @@ class Multipole:
 
     def _get_levels(self, halves: list[float]) -> None:
         """Get the operators for cubes of some sizes, each half the one before."""
-        single = self.tolerance >= _SINGLE and bool(halves)
+        single = self.tolerance >= SINGLE and bool(halves)
         single = single and passes.single_serves(self.kernel, halves[-1], self.tolerance)
         self._dtype = np.float32 if single else np.float64
         self._levels, self._transfers = {}, {}

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,16 +105,23 @@ class Level(NamedTuple):
         Values at the points times the second are Legendre coefficients; the second times
         coefficients are weights of points that act as they do.
         """
-        x, w = legendre.leggauss(self.degree)
-        points = half * np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
-        p = (_polynomials(x, self.degree) * w).T
-        return points, np.einsum("ai,bj,ck->abcijk", p, p, p).reshape(len(x) ** 3, -1)
+        points, project = _gauss(self.degree)
+        return half * points, project
 
 
 def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
     """Return the orthonormal Legendre polynomials at x, (degree, n)."""
     scale = np.sqrt(np.arange(degree) + 0.5)
     return np.asarray(legendre.legvander(x, degree - 1) * scale).T
+
+
+@lru_cache(maxsize=2)
+def _gauss(degree: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return Gauss points in [-1, 1]^3 and weighted polynomials there; see `Level.nodes`."""
+    x, w = legendre.leggauss(degree)
+    points = np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
+    p = (_polynomials(x, degree) * w).T
+    return points, np.einsum("ai,bj,ck->abcijk", p, p, p).reshape(len(x) ** 3, -1)
 
 
 class _Side(NamedTuple):

@@ -1,0 +1,480 @@
+"""A tolerance as the one knob: the cheapest sum is chosen by a model, checked and corrected.
+
+`costs.json` is the model: seconds and errors of each backend for each kernel, as fitted by
+``benchmarks/fit_costs.py``. At the first sum over some points
+
+* a treecode of low degree beside direct sums at a few targets tells how errors for these points
+  and strengths compare with those of the model, and pairs are counted on the way of these targets;
+* the cheapest sum that should reach the tolerance is done;
+* its error is sampled, and if it is too large a more accurate one is done instead.
+
+No time is measured: what is chosen depends on kernel, points and strengths alone.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from treecode.backends import direct, kitc, taylor
+from treecode.backends.walk import Walk
+from treecode.fmm.multipole import SINGLE, Multipole
+from treecode.kernels.base import Kernel
+from treecode.traversal import acceptance
+from treecode.tree import Tree
+
+WALKS: dict[str, ModuleType] = {"direct": direct, "kitc": kitc, "taylor": taylor}
+THETAS = 0.5, 0.6, 0.7, 0.8
+DEGREES = {"kitc": range(1, 15), "taylor": range(19)}
+LEAF_SIZES = 250, 500, 1000, 2000
+TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(1, 26))  # of "fmm": few operators serve many
+FEW = 1_000_000  # pairs: what takes a millisecond is not thought about
+PROBE: dict[str, Any] = {"theta": 0.7, "degree": 3, "leaf_size": 500}
+
+_PILOTS = 64  # targets at which errors are looked at before a sum
+_SAMPLES = 192  # and after it
+_COUNTED = 40_000  # sources among which pairs are counted
+_MARGIN = 1.5  # by which errors may be larger than expected
+_SUMS = 300  # that share the operators of "fmm"
+_ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
+
+
+class ToleranceError(ValueError):
+    """No sum among those allowed is as accurate as it was asked to be."""
+
+
+class Choice(NamedTuple):
+    """A backend and its parameters; None where it has none.
+
+    `width` is the side of the root of "fmm", 0 if it is to be chosen: it depends on points that
+    were set before.
+    """
+
+    backend: str
+    theta: float | None = None
+    degree: int | None = None
+    leaf_size: int | None = None
+    tol: float | None = None
+    width: float | None = None
+
+    def __str__(self) -> str:
+        if self.backend == "fmm":
+            return f"fmm({self.tol:.2g})"
+        if self.backend in DEGREES:
+            return f"{self.backend}({self.theta:g}/{self.degree})"
+        return self.backend
+
+    def sum(self, kernel: Kernel, progress: bool = False) -> Walk | Multipole:
+        """Return the sum, without points yet."""
+        if self.backend == "fmm":
+            return Multipole(
+                kernel, self.tol or 0.0, self.degree, self.leaf_size, progress, self.width or 0.0
+            )
+        return Walk(
+            WALKS[self.backend],
+            kernel,
+            self.theta or 0.5,
+            self.degree or 0,
+            self.leaf_size or 1,
+            progress,
+        )
+
+
+class Error(NamedTuple):
+    """A relative error at drawn targets.
+
+    Attributes
+    ----------
+    norm : float
+        K eq. (8.1), over all columns.
+    by_unit : float
+        The largest of those over columns of one unit, as velocities and angular velocities.
+    bound : float
+        `by_unit` where the error of the draw is two standard deviations.
+    """
+
+    norm: float
+    by_unit: float
+    bound: float
+
+
+def sampled_error(
+    kernel: Kernel,
+    done: Walk | Multipole,
+    strengths: np.ndarray,
+    values: np.ndarray,
+    samples: int,
+    seed: int = 0,
+) -> Error:
+    """Return the error of a sum that gave `values` for `strengths`.
+
+    Half of the targets are drawn evenly and half in proportion to the squares of their values, so
+    that neither many small errors nor a few large values are missed.
+    """
+    if not np.isfinite(values).all():
+        return Error(math.inf, math.inf, math.inf)
+    units = _units(kernel)
+    peak = np.abs(values).max(initial=0.0) or 1.0
+    power = (values / peak) ** 2 @ units
+    total = power.sum(axis=0)
+    drawn, weight = _draw(power, samples, seed)
+    place = np.empty_like(done.target_order)
+    place[done.target_order] = np.arange(len(values))
+    exact = _direct(kernel, done.sources, done.targets[:, place[drawn]])
+    expected = exact.execute(strengths[done.source_order]) / peak
+    squares = weight[:, None] * ((values[drawn] / peak - expected) ** 2 @ units)
+    norm = np.maximum(total + weight @ (expected**2 @ units - power[drawn]), 0.0)
+    deviation = math.sqrt(len(drawn)) * squares.std(axis=0) * (samples < len(values))
+    sums = squares.sum(axis=0)
+    return Error(
+        float(_ratio(sums.sum(), norm.sum())),
+        float(_ratio(sums, norm).max()),
+        float(_ratio(sums + 2.0 * deviation, norm).max()),
+    )
+
+
+def _draw(power: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return rows, all of them if there are few, and how many others each stands for."""
+    count = len(power)
+    if samples >= count:
+        return np.arange(count), np.ones(count)
+    total = power.sum(axis=0)
+    share = 1.0 / count + (power / np.where(total > 0.0, total, 1.0)).mean(axis=1)
+    share /= share.sum()
+    drawn = np.random.default_rng(seed).choice(count, samples, p=share)
+    return drawn, 1.0 / (samples * share[drawn])
+
+
+def _ratio(squares: Any, norm: Any) -> Any:
+    """Return the root of a quotient; nothing of nothing is nothing."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.sqrt(np.where(squares == 0.0, 0.0, squares / norm))
+
+
+def _units(kernel: Kernel) -> np.ndarray:
+    """Return which columns of the values have which unit, (value_size, units) of 0 and 1."""
+    lengths = np.array(getattr(kernel, "value_lengths", (0,) * kernel.value_size))
+    return (lengths[:, None] == np.unique(lengths)).astype(float)
+
+
+def _direct(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Walk | Multipole:
+    done = Choice("direct").sum(kernel)
+    done.set_points(sources.copy(), targets)
+    return done
+
+
+def able(kernel: Kernel) -> tuple[str, ...]:
+    """Return the backends that take a kernel; "fmm" may refuse it later."""
+    walks = (name for name in WALKS if all(hasattr(kernel, m) for m in WALKS[name].KERNEL_MEMBERS))
+    return (*walks, "fmm")
+
+
+@dataclass
+class Search:
+    """The search for the cheapest sum that reaches a tolerance.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    backends : tuple of str
+        To choose from.
+    tolerance : float
+        Relative error, K eq. (8.1), of values of each unit.
+    theta, leaf_size : optional
+        Of treecodes, where they are not to be chosen.
+    progress : bool, optional
+    sums : int, optional
+        How many share the operators of "fmm".
+    """
+
+    kernel: Kernel
+    backends: tuple[str, ...]
+    tolerance: float
+    theta: float | None = None
+    leaf_size: int | None = None
+    progress: bool = False
+    sums: int = _SUMS
+
+    def __call__(
+        self, sources: np.ndarray, targets: np.ndarray | None, strengths: np.ndarray
+    ) -> tuple[Choice, Walk | Multipole, np.ndarray]:
+        """Return what was chosen for points (3, N) and (3, M), the sum, and what it gave.
+
+        Raises
+        ------
+        ToleranceError
+            With the tolerance that can be had.
+        """
+        case = _Case(self, sources, sources if targets is None else targets, strengths)
+        while True:
+            best = case.cheapest()
+            choice = best.choice
+            done = choice.sum(self.kernel, self.progress)
+            try:
+                done.set_points(sources.copy(), None if targets is None else targets.copy())
+            except ValueError:
+                if choice.backend != "fmm" or "direct" not in self.backends:
+                    raise
+                case.misses["fmm"] = math.inf  # it refuses kernels that are not isotropic
+                continue
+            values = done.execute(strengths)
+            if choice.backend == "direct":
+                return choice, done, values
+            bound = self.bound(done, strengths, values)
+            if bound <= self.tolerance:
+                return choice, done, values
+            case.misses[choice.backend] *= bound / best.error if bound < 1.0 else math.inf
+
+    def bound(self, done: Walk | Multipole, strengths: np.ndarray, values: np.ndarray) -> float:
+        """Return what the error of a sum that gave `values` hardly exceeds."""
+        return sampled_error(self.kernel, done, strengths, values, _SAMPLES).bound
+
+
+class _Candidate(NamedTuple):
+    """A choice, and the seconds and the error that are expected of it."""
+
+    choice: Choice
+    seconds: float
+    error: float
+
+
+class _Case:
+    """What a few targets tell of points and strengths, and what sums there are for them.
+
+    Attributes
+    ----------
+    misses : dict
+        For each backend, how much larger than expected its error was.
+    """
+
+    def __init__(
+        self, search: Search, sources: np.ndarray, targets: np.ndarray, strengths: np.ndarray
+    ) -> None:
+        self._search, self._model = search, model(search.kernel)
+        self._sources, self._targets = sources, targets
+        self.misses = dict.fromkeys(search.backends, 1.0)
+        drawn = np.random.default_rng(0).permutation(targets.shape[1])[:_PILOTS]
+        self._pilots = targets[:, drawn]
+        exact = self._require_digits(strengths)
+        few = sources.shape[1] * targets.shape[1] <= FEW
+        self._backends = ("direct",) if few and "direct" in search.backends else search.backends
+        self._scale = 1.0 if self._backends == ("direct",) else self._probe(strengths, exact)
+
+    def _require_digits(self, strengths: np.ndarray) -> np.ndarray:
+        """Return direct sums at the pilots; refuse a tolerance beyond their rounding.
+
+        If every source is taken or left by chance, twice the sum differs from the sum of all as
+        if signs were random: by the size of sums that do not cancel.
+        """
+        done = _direct(self._search.kernel, self._sources, self._pilots.copy())
+        exact = done.execute(strengths)
+        rng, spread = np.random.default_rng(0), 0.0
+        for _ in range(8 if len(strengths) <= _PILOTS else 1):  # few may all be taken
+            taken = rng.integers(0, 2, (len(strengths), 1)) * strengths
+            spread = max(spread, float(np.linalg.norm(2.0 * done.execute(taken) - exact)))
+        size = float(np.linalg.norm(exact))
+        if size > 0.0 and _ROUNDING * spread > self._search.tolerance * size:
+            loss = spread / size
+            why = f"contributions cancel to {1.0 / loss:.1g} of their size"
+            self._refuse(_ROUNDING * loss, why)
+        return exact
+
+    def _probe(self, strengths: np.ndarray, exact: np.ndarray) -> float:
+        """Return the error of a treecode of low degree, the unit of those of the model."""
+        probe = Choice("kitc", **PROBE).sum(self._search.kernel)
+        probe.set_points(self._sources.copy(), self._pilots.copy())
+        units = _units(self._search.kernel)
+        squares = ((probe.execute(strengths) - exact) ** 2 @ units).sum(axis=0)
+        error = _ratio(squares, (exact**2 @ units).sum(axis=0)).max()
+        return _MARGIN * float(error or self._model.usual_error)
+
+    def cheapest(self) -> _Candidate:
+        """Return the cheapest of what should reach the tolerance."""
+        offers = [offer for backend in self._backends for offer in self._offers(backend)]
+        good = [offer for offer in offers if offer.error <= self._search.tolerance]
+        if not good:
+            by = " or ".join(map(repr, self._backends))
+            self._refuse(min(offer.error for offer in offers), f"by {by}")
+        return min(good, key=lambda offer: offer.seconds)
+
+    def _refuse(self, attainable: float, why: str) -> NoReturn:
+        raise ToleranceError(
+            f"tol must be at least {1.1 * attainable:.1e} for these points and strengths "
+            f"({why}), got {self._search.tolerance:g}"
+        )
+
+    def _offers(self, backend: str) -> Iterator[_Candidate]:
+        if backend == "direct":
+            pairs = self._sources.shape[1] * self._targets.shape[1]
+            yield _Candidate(Choice("direct"), self._model.seconds("direct", pairs), 0.0)
+        elif backend == "fmm":
+            yield self._multipole()
+        else:
+            yield from self._treecodes(backend)
+
+    def _treecodes(self, backend: str) -> Iterator[_Candidate]:
+        """Yield treecodes, with pairs counted for the pilots in a tree of some of the sources."""
+        search = self._search
+        leaf_sizes = LEAF_SIZES if search.leaf_size is None else (search.leaf_size,)
+        every = -(-self._sources.shape[1] // _COUNTED)
+        sample = self._sources[:, ::every].copy()
+        tree, _ = WALKS[backend].build(sample, max(1, leaf_sizes[0] // every))
+        more = self._targets.shape[1] / self._pilots.shape[1]
+        degrees = np.array(DEGREES[backend])
+        terms = count_terms(backend, degrees)
+        for theta in THETAS if search.theta is None else (search.theta,):
+            error = self._scale * self._model.error(backend, theta, degrees)
+            error *= self.misses[backend]
+            met = meet(tree, self._pilots, theta)
+            for leaf_size in leaf_sizes:
+                near, accepted = count_pairs(met, leaf_size / every, terms / every)
+                seconds = self._model.seconds(
+                    backend,
+                    more * every * near,
+                    more * accepted * terms,
+                    more * accepted,
+                    self._sources.shape[1] * terms,
+                    self._sources.shape[1] + self._targets.shape[1],
+                )
+                for row in zip(degrees.tolist(), seconds, error, strict=True):
+                    yield _Candidate(Choice(backend, theta, row[0], leaf_size), *row[1:])
+
+    def _multipole(self) -> _Candidate:
+        """Return the fast multipole method at the largest tolerance that should do."""
+        for tol in TOLERANCES:
+            error = self._scale * self.misses["fmm"] * self._model.multipole_error(tol)
+            if error <= self._search.tolerance:
+                price = Multipole(self._search.kernel, tol).price(
+                    self._sources, None if self._targets is self._sources else self._targets
+                )
+                count = self._sources.shape[1] + self._targets.shape[1]
+                seconds = self._model.multipole_seconds(tol, price, count)
+                seconds += self._model.building_seconds(tol) / self._search.sums
+                return _Candidate(Choice("fmm", tol=tol), seconds, error)
+        return _Candidate(Choice("fmm", tol=tol), math.inf, error)
+
+
+class Meetings(NamedTuple):
+    """Clusters that targets meet on their way down a tree.
+
+    Attributes
+    ----------
+    size, above : (n,) int64
+        Sources in the cluster and in its parent.
+    far, last : (n,) bool
+        Whether it is far enough for its expansion, and whether it has no children.
+    """
+
+    size: np.ndarray
+    above: np.ndarray
+    far: np.ndarray
+    last: np.ndarray
+
+
+def meet(tree: Tree, targets: np.ndarray, theta: float) -> Meetings:
+    """Walk down a tree of sources with all targets, (3, T), a level at a time."""
+    distance2 = acceptance(tree, theta)
+    who = np.arange(targets.shape[1])
+    cluster = np.zeros_like(who)
+    above = np.full_like(who, np.iinfo(who.dtype).max)
+    levels = []
+    while len(who):
+        size = tree.stop[cluster] - tree.start[cluster]
+        far = ((targets[:, who] - tree.center[:, cluster]) ** 2).sum(axis=0) >= distance2[cluster]
+        last = tree.children[cluster] == 0
+        levels.append(Meetings(size, above, far, last))
+        on = ~far & ~last
+        count = tree.children[cluster[on]]
+        number = np.arange(count.sum()) - np.repeat(count.cumsum() - count, count)
+        who, above = np.repeat(who[on], count), np.repeat(size[on], count)
+        cluster = np.repeat(tree.child[cluster[on]], count) + number
+    return Meetings(*map(np.concatenate, zip(*levels, strict=True)))
+
+
+def count_pairs(
+    met: Meetings, leaf_size: float, terms: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return pairs near and expansions evaluated, for leaves and terms of an expansion."""
+    in_tree = met.above > leaf_size
+    leaf = in_tree & ~met.far & (met.last | (met.size <= leaf_size))
+    far = np.sort(met.size[in_tree & met.far])
+    summed = np.searchsorted(far, terms, side="right")  # where points are fewer than terms
+    near = met.size[leaf].sum() + np.append(0, far.cumsum())[summed]
+    return near, len(far) - summed
+
+
+def count_terms(backend: str, degree: np.ndarray) -> np.ndarray:
+    """Return the terms of an expansion."""
+    if backend == "kitc":
+        return (degree + 1) ** 3
+    return (degree + 1) * (degree + 2) * (degree + 3) // 6
+
+
+class Model:
+    """Seconds on one thread, and errors in units of that of `PROBE`, of one kernel.
+
+    Attributes
+    ----------
+    usual_error : float
+        Of `PROBE`, for random strengths in a cube.
+    """
+
+    def __init__(self, fitted: dict[str, Any]) -> None:
+        self._fitted = fitted
+        self.usual_error = fitted["probe"]
+
+    def seconds(self, backend: str, *work: Any) -> Any:
+        """Return how long `work` takes.
+
+        Pairs near, of which direct sums have no others; pairs far, expansions evaluated, sources
+        times terms, and points.
+        """
+        rates = self._fitted[backend]["seconds"]
+        return sum(rate * amount for rate, amount in zip(rates, work, strict=True))
+
+    def error(self, backend: str, theta: float, degree: Any) -> Any:
+        """Return the error of a treecode."""
+        fitted = self._fitted[backend]
+        offset, slope = (np.interp(theta, THETAS, fitted[name]) for name in ("offset", "slope"))
+        return 10.0 ** (offset + slope * degree)
+
+    def multipole_seconds(self, tol: float, price: float, points: int) -> float:
+        """Return how long a sum by "fmm" takes that is worth `price` near pairs."""
+        return float(np.dot(self._fitted["fmm"]["seconds"], multipole_work(tol, price, points)))
+
+    def building_seconds(self, tol: float) -> float:
+        """Return how long the operators of "fmm" take to build."""
+        offset, slope = self._fitted["fmm"]["build"]
+        return float(10.0 ** (offset + slope * math.log10(tol)))
+
+    def multipole_error(self, tol: float) -> float:
+        """Return the error of "fmm"."""
+        offset, slope = self._fitted["fmm"]["error"]
+        return float(10.0 ** (offset + slope * math.log10(tol)))
+
+
+def multipole_work(tol: float, price: float, points: int) -> list[float]:
+    """Return what the seconds of "fmm" are made of: pairs in single and in double, and points."""
+    single = tol >= SINGLE
+    return [price * single, price * (not single), points, -points * math.log10(tol) ** 3]
+
+
+@cache
+def _costs() -> dict[str, Any]:
+    return dict(json.loads(Path(__file__).with_name("costs.json").read_text()))
+
+
+def model(kernel: Kernel) -> Model:
+    """Return the model of a kernel; of a user's own that of the one most like it in size."""
+    size = kernel.weight_size * kernel.value_size
+    fitted = _costs()
+    alike = min(fitted, key=lambda name: abs(math.log(fitted[name]["size"] / size)))
+    return Model(fitted.get(type(kernel).__name__, fitted[alike]))
