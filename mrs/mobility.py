@@ -200,4 +200,5 @@ class Mobility:
 
     def correct(self, points: np.ndarray, loads: np.ndarray) -> bool:
         """Choose anew where a sum does not reach its tolerance any more; return if so."""
-        return any([term.refine(points, loads) for term in self._sums])
+        refined = [term.refine(points, loads) for term in self._sums]
+        return any(refined)
