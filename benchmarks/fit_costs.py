@@ -36,7 +36,7 @@ KERNELS = {
     "Stokeslet": tc.Stokeslet(),
     "StokesletStresslet": tc.StokesletStresslet(),
 }
-SIZES = 3000, 12_000
+SIZES = 4000, 24_000
 DEGREES = {"kitc": (2, 4, 6, 8), "taylor": (2, 5, 8, 12)}
 TOLERANCES = [10.0**-k for k in (1, 2, 3, 4, 5, 6, 7, 9)]
 LONGEST = 8.0  # seconds to build operators, after which smaller tolerances are left out
