@@ -190,7 +190,8 @@ class Multipole:
         self._has_targets = targets > 0
         self._source_leaves = np.flatnonzero(leaf & (sources > 0))
         self._target_leaves = np.flatnonzero(leaf & self._has_targets)
-        worth = (self.degree or 6) ** 3
+        # Nodes that would stand for an expansion; its degree is known when operators are.
+        worth = (self.degree or round(1.5 * math.log10(1.0 / (_SAFETY * self.tolerance)))) ** 3
         self._near_lists = direct_lists(tree, self._target_leaves, worth, False)
         begin, entries = direct_lists(tree, np.arange(len(tree.level)), worth, True)
         self._coarse_boxes = np.flatnonzero(np.diff(begin))
@@ -332,7 +333,7 @@ class Multipole:
         for i, box in enumerate(self._coarse_boxes):
             level = int(tree.level[box])
             operators = self._levels[level]
-            nodes, project = operators.nodes(tree.half(level))
+            nodes = operators.nodes(tree.half(level))
             padded = np.pad(nodes, ((0, 0), (0, _ROOM)))
             out = np.zeros((1, self.kernel.value_size, nodes.shape[1]))
             passes.coarse_field(
@@ -346,7 +347,7 @@ class Multipole:
                 tree.centers(np.array([box])),
                 out,
             )
-            coefficients = ((out[0] * operators.value_scale[:, None]) @ project).ravel()
+            coefficients = operators.project(out[0] * operators.value_scale[:, None]).ravel()
             self._pairs[1] += (
                 nodes.shape[1] * np.diff(tree.source)[entries[begin[i] : begin[i + 1]]].sum()
             )
@@ -425,14 +426,15 @@ class Multipole:
         for i, box in enumerate(boxes):
             level = int(tree.level[box])
             operators = self._levels[level]
-            nodes, project = operators.nodes(tree.half(level))
+            nodes = operators.nodes(tree.half(level))
             row = outer[level][box - tree.first[level]].reshape(CLASSES, -1)
-            coefficients = np.zeros(self.kernel.weight_size * len(project))
+            coefficients = np.zeros((len(weights[i]), nodes.shape[1]))
             for c in range(CLASSES):
-                coefficients[operators.source_members[c]] = operators.source_basis[c] @ row[c]
-            coefficients = coefficients.reshape(-1, len(project)) * operators.source_scale[:, None]
-            points[i, :, : len(project)] = tree.centers(boxes[i : i + 1]).T + nodes
-            weights[i, :, : len(project)] = coefficients @ project.T
+                functions = operators.source_basis[c] @ row[c]
+                coefficients.reshape(-1)[operators.source_members[c]] = functions
+            spread = operators.spread(coefficients * operators.source_scale[:, None])
+            points[i, :, : nodes.shape[1]] = tree.centers(boxes[i : i + 1]).T + nodes
+            weights[i, :, : nodes.shape[1]] = spread
         return points, weights
 
     def _evaluate(

@@ -99,14 +99,18 @@ class Level(NamedTuple):
         channel = (m // self.degree**3 for m in members)
         return [(b / scale[c, None]).astype(dtype) for b, c in zip(basis, channel, strict=True)]
 
-    def nodes(self, half: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return Gauss points, (3, degree^3), and weighted polynomials there, (points, products).
+    def nodes(self, half: float) -> np.ndarray:
+        """Return Gauss points in a cube, (3, degree^3)."""
+        x, _ = _gauss(self.degree)
+        return half * np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
 
-        Values at the points times the second are Legendre coefficients; the second times
-        coefficients are weights of points that act as they do.
-        """
-        points, project = _gauss(self.degree)
-        return half * points, project
+    def project(self, values: np.ndarray) -> np.ndarray:
+        """Return Legendre coefficients of values at the nodes, both (channels, degree^3)."""
+        return _along_axes(_gauss(self.degree)[1], values)
+
+    def spread(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return the weights of nodes that act as Legendre coefficients do."""
+        return _along_axes(_gauss(self.degree)[1].T, coefficients)
 
 
 def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
@@ -117,11 +121,18 @@ def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
 
 @lru_cache(maxsize=2)
 def _gauss(degree: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return Gauss points in [-1, 1]^3 and weighted polynomials there; see `Level.nodes`."""
+    """Return Gauss points in [-1, 1] and weighted polynomials there, (degree, points)."""
     x, w = legendre.leggauss(degree)
-    points = np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
-    p = (_polynomials(x, degree) * w).T
-    return points, np.einsum("ai,bj,ck->abcijk", p, p, p).reshape(len(x) ** 3, -1)
+    return x, _polynomials(x, degree) * w
+
+
+def _along_axes(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Apply a (n, n) matrix to each of three axes of (channels, n^3) values."""
+    n = len(matrix)
+    out = values.reshape(-1, n, n, n)
+    for _ in range(3):  # each takes the first axis of the cube to the end
+        out = np.tensordot(out, matrix, axes=(1, 1))
+    return out.reshape(len(values), -1)
 
 
 class _Side(NamedTuple):
