@@ -12,6 +12,7 @@ import treecode as tc
 from oracle import each_kernel, exact, random_case, with_epsilon
 from rotne_prager import RotnePrager
 from treecode.fmm import multipole, operators, store, symmetry
+from treecode.fmm.symmetry import find_symmetry
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 
@@ -54,6 +55,16 @@ def test_converges():
         errors.append(achieved)
     assert np.all(errors <= tolerances)
     assert np.all(np.diff(np.log10(errors)) < -1.0)
+
+
+@pytest.mark.slow
+def test_converges_to_rounding():
+    """Twelve digits; operators of half a gigabyte a level."""
+    points, strengths, _ = random_case(KERNEL, 3000, 1)
+    for tol in (1e-8, 1e-10, 1e-12):
+        achieved, plan = error(KERNEL, tol, points, strengths, leaf_size=40)
+        assert plan.info()["near_pairs"] < 0.5 * 3000**2
+        assert achieved <= tol
 
 
 def test_same_sign():
@@ -178,6 +189,45 @@ def test_chiral_kernel_is_refused():
     points = np.random.default_rng(10).random((400, 3))
     with pytest.raises(ValueError, match=r"isotropic.*Chiral"):
         tc.Plan(Chiral(), "fmm", leaf_size=10).set_points(points)
+
+
+class Uneven(NamedTuple):
+    """Velocities along x are twice as large: only y and z may change places."""
+
+    strength_size = weight_size = value_size = 3
+
+    def weights(self, q):
+        return q
+
+    def pair(self, dx, dy, dz, w, acc):
+        s = tc.inverse_sqrt(0.01 + dx * dx + dy * dy + dz * dz)
+        d = s * s * s * (w[0] * dx + w[1] * dy + w[2] * dz)
+        return (
+            acc[0] + 2.0 * (s * w[0] + d * dx),
+            acc[1] + s * w[1] + d * dy,
+            acc[2] + s * w[2] + d * dz,
+        )
+
+
+def test_kernel_of_less_symmetry():
+    rng = np.random.default_rng(13)
+    points, strengths = rng.random((3000, 3)), rng.standard_normal((3000, 3))
+    assert find_symmetry(Uneven(), 0.1).values.axes.tolist() == [[0, 1, 2], [0, 2, 1]]
+    achieved, plan = error(Uneven(), 1e-4, points, strengths, leaf_size=40)
+    assert achieved <= 1e-4
+    assert plan.info()["far_pairs"] > 0
+
+
+@each_kernel
+def test_axes_may_change_places(kernel):
+    """Torques and angular velocities change their sign too if the handedness does."""
+    found = find_symmetry(kernel, 0.1)
+    assert len(found.values.axes) == 6
+    assert found.adjoint == (kernel.weight_size == kernel.value_size)
+    if kernel.value_size == 6:
+        swap = found.values.axes.tolist().index([1, 0, 2])
+        assert found.values.becomes[swap].tolist() == [1, 0, 2, 4, 3, 5]
+        assert found.values.signs[swap].tolist() == [1, 1, 1, -1, -1, -1]
 
 
 @pytest.mark.interpreted
