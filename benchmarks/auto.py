@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import test_tolerance
 
 import treecode as tc
-from benchmarks.machine import machine
+from benchmarks.machine import machine, publish
 from treecode import auto
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
@@ -152,11 +152,7 @@ def main() -> None:
         *("| " + " | ".join(r.values()) + " |" for r in rows.values()),
         f"\nLargest ratio: {max(float(r['ratio']) for r in rows.values()):.2f}.",
     ]
-    text = "\n".join(lines) + "\n"
-    if options.output is None:
-        print(text, end="")
-    else:
-        options.output.write_text(text)
+    publish(lines, options.output)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""On what something was measured."""
+"""On what something was measured, and where the page about it goes."""
 
 from __future__ import annotations
 
@@ -21,3 +21,12 @@ def machine() -> str:
         f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
         f"Python {platform.python_version()}, {versions}"
     )
+
+
+def publish(lines: list[str], output: Path | None) -> None:
+    """Write a page, or print it."""
+    text = "\n".join(lines) + "\n"
+    if output is None:
+        print(text, end="")
+    else:
+        output.write_text(text)

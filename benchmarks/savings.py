@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 import mrs
 import treecode as tc
-from benchmarks.machine import machine
+from benchmarks.machine import machine, publish
 from mrs.profile import STAGES, Profile
 from treecode.backends import taylor
 
@@ -215,11 +215,7 @@ def main() -> None:
         "\n## Imports\n",
         *imports(),
     ]
-    text = "\n".join(lines) + "\n"
-    if options.output is None:
-        print(text, end="")
-    else:
-        options.output.write_text(text)
+    publish(lines, options.output)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, publish
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -49,11 +49,7 @@ def main() -> None:
         if not (options.quick and case.slow):
             lines += section(case, case.function in functions)
             functions.append(case.function)
-    text = "\n".join(lines) + "\n"
-    if options.output is None:
-        print(text, end="")
-    else:
-        options.output.write_text(text)
+    publish(lines, options.output)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import test_tolerance
 
-from benchmarks.machine import machine
+from benchmarks.machine import machine, publish
 
 CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "kernel": lambda row: row["kernel"],
@@ -72,7 +72,7 @@ def main() -> None:
                 file.write(json.dumps(rows[seed]) + "\n")
             if rows[seed]["error"] > rows[seed]["tol"]:
                 print(rows[seed], file=sys.stderr, flush=True)
-    text = "\n".join([
+    lines = [
         "# Asked and achieved errors\n",
         f"{len(rows)} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",
         f"{options.largest} points, strengths that are random, without a net force, or pairs that",
@@ -80,11 +80,8 @@ def main() -> None:
         "oracle of the tests or, where that is too slow, by direct sums at 2000 targets.\n",
         machine() + "\n",
         *table(list(rows.values())),
-    ])  # fmt: skip
-    if options.output is None:
-        print(text)
-    else:
-        options.output.write_text(text + "\n")
+    ]
+    publish(lines, options.output)
 
 
 if __name__ == "__main__":

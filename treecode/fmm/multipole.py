@@ -33,7 +33,8 @@ _FIRST = 2  # the coarsest level with cubes that do not touch
 _DIRECT = 16  # leaves
 _CHUNK = 256  # cubes that one thread takes at a time
 _LEAVES = 64  # of these, where points meet points
-_SAMPLE = 40_000  # points from which the side of the root is chosen
+_SAMPLE = 40_000  # points from which the side of the root is chosen,
+_PER_LEAF = 8  # more if fewer than so many would be left in a leaf
 _ROOM = 64  # more than any lanes
 
 
@@ -167,7 +168,7 @@ class Multipole:
         widths = root_widths(points)
         if widths[0] <= self.width <= widths[-1]:
             return
-        every = -(-points.shape[1] // _SAMPLE)
+        every = max(1, min(-(-points.shape[1] // _SAMPLE), self.leaf_size // _PER_LEAF))
         sample = points[:, ::every]
         fewer = None if split is None else -(-split // every)
         leaf_size = max(1, self.leaf_size // every)
@@ -471,14 +472,14 @@ class Multipole:
 
 
 def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:
-    """Return the time to translate for one cube, in near pairs of the same precision.
+    """Return what one cube more costs, in near pairs of the same precision.
 
-    Measured: 40 and 120 microseconds at ranks of 128 and 320 in single precision, 0.75 ms at 576 in
-    double precision; 0.9e9 and 0.75e9 pairs a second.
+    Measured: 40 and 120 microseconds for translations at ranks of 128 and 320 in single precision,
+    0.75 ms at 576 in double precision, some 15 for the rest; 0.9e9 and 0.75e9 pairs a second.
     """
     channels = kernel.weight_size * kernel.value_size / 9.0
     rank = 12.0 * math.log10(1.0 / tolerance) ** 2 * channels**0.4
-    seconds = (0.6e-9 if single else 2.2e-9) * rank**2 + 2e-7 * rank
+    seconds = (0.6e-9 if single else 2.2e-9) * rank**2 + 1.25e-7 * rank + 3e-5
     return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
 
