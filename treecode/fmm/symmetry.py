@@ -6,7 +6,6 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from treecode._jit import serial_driver
 from treecode.kernels.base import Kernel
@@ -129,6 +128,10 @@ def _reflected(
 
 def _permuted(table: np.ndarray, moved: np.ndarray) -> tuple[tuple, tuple] | None:
     """Return which components change places, and their signs; None if they do more than that."""
+    from scipy.optimize import (
+        linear_sum_assignment,  # not before it is used: it brings half of scipy
+    )
+
     # Components are known by their sizes, whatever the order of what they meet.
     becomes = []
     for axis in (1, 2):
