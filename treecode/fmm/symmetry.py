@@ -128,9 +128,8 @@ def _reflected(
 
 def _permuted(table: np.ndarray, moved: np.ndarray) -> tuple[tuple, tuple] | None:
     """Return which components change places, and their signs; None if they do more than that."""
-    from scipy.optimize import (
-        linear_sum_assignment,  # not before it is used: it brings half of scipy
-    )
+    # Not before it is used: it brings half of scipy.
+    from scipy.optimize import linear_sum_assignment
 
     # Components are known by their sizes, whatever the order of what they meet.
     becomes = []
