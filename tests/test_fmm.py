@@ -168,6 +168,13 @@ def stokeslet_table(kernel, points):
     return np.eye(3) * h1 + r[:, :, None] * r[:, None] / distance**3
 
 
+@pytest.mark.interpreted
+def test_table_of_a_kernel():
+    points = np.random.default_rng(14).uniform(-1.0, 1.0, (3, 5))
+    kernel = tc.RegularizedStokeslet(epsilon=0.3)
+    assert symmetry.tabulate(kernel, points) == pytest.approx(stokeslet_table(kernel, points))
+
+
 class Chiral(NamedTuple):
     """Not its own mirror image: force to velocity along it and across it."""
 

@@ -175,6 +175,34 @@ def test_a_miss_is_corrected(monkeypatch):
     assert achieved(KERNEL, points, q, values) <= 1e-4
 
 
+@pytest.mark.interpreted
+@pytest.mark.parametrize("backend", ["auto", "kitc", "taylor"])
+def test_small_enough_to_interpret(monkeypatch, backend):
+    """The search, on as few points as are otherwise summed directly; a miss, and its correction."""
+    monkeypatch.setattr(auto, "FEW", 0)
+    points, q = random_sum(150)
+    plan = tc.Plan(KERNEL, backend, tol=1e-2).set_points(points)
+    assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-2
+    assert not plan.refine(q)
+    assert plan.estimate_error(q) <= 1e-2
+    half = len(points) // 2
+    points[half:], q[half:] = points[:half] + 1e-3, -q[:half]
+    plan.set_points(points).refine(q)
+    assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-2
+
+
+@pytest.mark.interpreted
+@pytest.mark.parametrize("backend", ["kitc", "taylor"])
+def test_far_field_small_enough_to_interpret(backend):
+    """Targets near and far, so that clusters and their children are accepted."""
+    points, q = random_sum(300)
+    targets = np.concatenate([points[:100], points[:50] + 3.0])
+    plan = tc.Plan(KERNEL, backend, theta=0.8, degree=1, leaf_size=40).set_points(points, targets)
+    expected = oracle.exact(KERNEL, points, q, targets).astype(float)
+    assert tc.relative_error(plan.execute(q), expected) < 0.2
+    assert plan.info()["far_pairs"] > 0
+
+
 def test_strengths_that_ask_for_more():
     """A choice stays for other strengths until it is refined."""
     points, q = random_sum(4000)
