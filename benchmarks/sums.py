@@ -126,6 +126,13 @@ def no_operators_kept() -> Iterator[None]:
         yield
 
 
+def warm_up(problem: Problem, backend: str, options: dict[str, Any]) -> None:
+    """Compile, by a small sum with every kind of step."""
+    if backend != "fmm3d":
+        plan = make_plan(problem.kernel, backend, **options | {"degree": 2, "leaf_size": 40})
+        plan.set_points(problem.points[:FEW]).execute(problem.strengths[:FEW])
+
+
 class Sum:
     """A sum that is ready to be timed: code compiled, operators built.
 
@@ -159,16 +166,9 @@ class Sum:
         self.targets = self.problem.points[draw(n, wanted)] if wanted < n else None
         self.plan = make_plan(self.problem.kernel, backend, **options)
         with no_operators_kept():
-            self._warm_up(options)
+            warm_up(self.problem, backend, options)
             self.plan.set_points(self.problem.points, self.targets)
         self.build = self.plan.info()["seconds"].get("operators", 0.0)
-
-    def _warm_up(self, options: dict[str, Any]) -> None:
-        """Compile, by a small sum with every kind of step."""
-        if self.backend != "fmm3d":
-            small = options | {"degree": 2, "leaf_size": 40}
-            plan = make_plan(self.problem.kernel, self.backend, **small)
-            plan.set_points(self.problem.points[:FEW]).execute(self.problem.strengths[:FEW])
 
     def lap(self) -> tuple[float, float]:
         """Return the seconds of setting the points and of summing."""
@@ -261,11 +261,11 @@ def peak_memory(points: str, size: int, backend: str, **options: Any) -> Row:
     n = len(problem.points)
     count = min(n, 10_000) if backend == "direct" else n
     sources, strengths = problem.points[:count], problem.strengths[:count]
+    warm_up(problem, backend, options)  # compilers use memory too
+    tc.Plan(problem.kernel, backend, **options).set_points(sources)  # operators to the disk
     store._memory.clear()
     gc.collect()
     tracemalloc.start()
-    tc.Plan(problem.kernel, backend, **options).set_points(sources)  # builds operators
-    tracemalloc.reset_peak()
     tc.Plan(problem.kernel, backend, **options).set_points(sources).execute(strengths)
     peak = tracemalloc.get_traced_memory()[1] + sources.nbytes + strengths.nbytes
     tracemalloc.stop()

@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmarks.rows import Row
 
+CASE = "points,N,backend,parameters"
 Printed = tuple[float | None, float | None]
 """Seconds and error, None where a paper prints none."""
 
@@ -51,18 +52,20 @@ def options(row: Row) -> str:
     return ", ".join(f"{short} {row[name]:g}" for name, short in names.items() if name in row)
 
 
+def case(row: Row) -> list[str]:
+    """Return what was summed and how: the columns `CASE`."""
+    return [row["points"], f"{row['n']:,}", row["backend"], options(row)]
+
+
 def beside(rows: list[Row], name: str, paper: Callable[[Row], Printed]) -> str:
     """Return a table of sums beside what a paper prints for them."""
-    header = "points,N,backend,parameters,E,*: E,build (s),seconds,*: seconds,* / ours"
+    header = f"{CASE},E,*: E,build (s),seconds,*: seconds,* / ours"
     lines = []
     for row in rows:
         theirs, their_error = paper(row)
         lines.append(
             [
-                row["points"],
-                f"{row['n']:,}",
-                row["backend"],
-                options(row),
+                *case(row),
                 error(row["error"]),
                 error(their_error),
                 build(row),

@@ -15,6 +15,7 @@ ALLOWED = {
     "treecode.kernels.base": {"treecode._jit", "treecode._lanes"},
     "treecode.kernels": {"treecode.kernels", "treecode._lanes", "treecode.check"},
     "treecode.pairs": {"treecode._jit", "treecode._lanes", "treecode.kernels.base"},
+    "treecode.timing": set(),
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {"treecode._jit", "treecode.tree"},
     "treecode.traversal": {
@@ -23,7 +24,7 @@ ALLOWED = {
     },
     "treecode.backends": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
-        "treecode.traversal", "treecode.tree", "treecode.upward",
+        "treecode.timing", "treecode.traversal", "treecode.tree", "treecode.upward",
     },
     "treecode.fmm.octree": {"treecode._jit", "treecode.tree"},
     "treecode.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
@@ -33,7 +34,7 @@ ALLOWED = {
         "treecode._jit", "treecode._lanes", "treecode.fmm.octree", "treecode.pairs",
     },
     "treecode.fmm.multipole": {
-        "treecode.fmm", "treecode.kernels.base", "treecode.traversal",
+        "treecode.fmm", "treecode.kernels.base", "treecode.timing", "treecode.traversal",
     },
     "treecode.fmm": set(),
     "treecode.auto": {

@@ -3,7 +3,6 @@
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 import pytest
 from test_degenerate import POINTS
@@ -123,21 +122,6 @@ def test_targets_apart():
     targets = rng.uniform(-1.0, 1.0, (400, 3)) * rng.choice([1.0, 3.0, 100.0], (400, 1))
     achieved, _ = error(KERNEL, 1e-4, points, strengths, targets, leaf_size=30)
     assert achieved <= 1e-4
-
-
-@each_kernel
-def test_threads_change_nothing(kernel):
-    points, strengths, _ = random_case(kernel, 4000, 7)
-    plan = tc.Plan(kernel, "fmm", tol=1e-2, leaf_size=30).set_points(points)
-    before = numba.get_num_threads()
-    results = []
-    try:
-        for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
-            numba.set_num_threads(threads)
-            results.append(plan.execute(strengths))
-    finally:
-        numba.set_num_threads(before)
-    assert all(np.array_equal(result, results[0]) for result in results)
 
 
 def test_moving_points_keep_the_operators(monkeypatch):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import each_backend, each_kernel, each_treecode, random_case
+from oracle import BACKENDS, each_backend, each_kernel, each_treecode, random_case
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 
@@ -27,7 +27,7 @@ def test_second_execute_equals_a_fresh_plan(backend):
     assert np.array_equal(plan.execute(second), fresh.execute(second))
 
 
-@each_backend
+@pytest.mark.parametrize("backend", [*BACKENDS, "fmm"])
 @each_kernel
 def test_result_does_not_depend_on_threads(kernel, backend):
     points, strengths, _ = random_case(kernel, 3000, 2)

@@ -352,13 +352,15 @@ class _Case:
         for tol in TOLERANCES:
             error = self._scale * self.misses["fmm"] * self._model.multipole_error(tol)
             if error <= self._search.tolerance:
-                price = Multipole(self._search.kernel, tol).price(
+                multipole = Multipole(self._search.kernel, tol)
+                price = multipole.price(
                     self._sources, None if self._targets is self._sources else self._targets
                 )
                 count = self._sources.shape[1] + self._targets.shape[1]
                 seconds = self._model.multipole_seconds(tol, price, count)
                 seconds += self._model.building_seconds(tol) / self._search.sums
-                return _Candidate(Choice("fmm", tol=tol), seconds, error)
+                choice = Choice("fmm", tol=tol, width=multipole.width)
+                return _Candidate(choice, seconds, error)
         return _Candidate(Choice("fmm", tol=tol), math.inf, error)
 
 

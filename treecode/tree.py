@@ -126,8 +126,20 @@ def _enter(box, middle, octant):
 
 
 @inlined
+def count_octants(points, start, stop, middle, count):
+    """Write `start` and how many of ``points[:, start:stop]`` lie in each octant."""
+    count[0] = start
+    for octant in range(OCTANTS):
+        count[octant + 1] = 0
+    for i in range(start, stop):
+        count[octant_of(points, i, middle) + 1] += 1
+
+
+@inlined
 def sort_octants(points, order, middle, begin):
-    """Sort points by octant, in place; octant o goes to ``begin[o]:begin[o + 1]``."""
+    """Sort points by octant, in place, as counted; octant o goes to ``begin[o]:begin[o + 1]``."""
+    for octant in range(OCTANTS):
+        begin[octant + 1] += begin[octant]
     cursor = np.empty_like(begin)
     for octant in range(len(begin)):
         cursor[octant] = begin[octant]
@@ -185,10 +197,7 @@ def _build(points, order, leaf_size, shrink):
             occupied = 1
             while occupied == 1:  # enter the only child that holds points
                 _middles(box, middle)
-                for octant in range(OCTANTS + 1):
-                    begin[octant] = 0
-                for i in range(start, stop):
-                    begin[octant_of(points, i, middle) + 1] += 1
+                count_octants(points, start, stop, middle, begin)
                 occupied = 0
                 only = 0
                 for octant in range(OCTANTS):
@@ -197,9 +206,6 @@ def _build(points, order, leaf_size, shrink):
                         only = octant
                 if occupied == 1:
                     _enter(box, middle, only)
-            begin[0] = start
-            for octant in range(OCTANTS):
-                begin[octant + 1] += begin[octant]
             sort_octants(points, order, middle, begin)
             if count + OCTANTS > capacity:
                 capacity *= 2

@@ -39,7 +39,7 @@ def cases(quick: bool) -> Iterator[Row]:
 
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
-    header = "points,N,backend,parameters,MB,of direct,paper: MB,paper: of direct"
+    header = f"{tables.CASE},MB,of direct,paper: MB,paper: of direct"
     return tables.table(header.split(","), (_line(row, rows) for row in rows))
 
 
@@ -47,10 +47,7 @@ def _line(row: Row, rows: list[Row]) -> list[str]:
     direct = [r["bytes"] for r in rows if r["n"] == row["n"] and r["backend"] == "direct"]
     theirs, base = _paper(row)
     return [
-        row["points"],
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
+        *tables.case(row),
         ("~" if row["extrapolated"] else "") + tables.figure(row["bytes"] / 1e6),
         f"{row['bytes'] / direct[0]:.2f}" if direct else "",
         tables.figure(theirs),

@@ -36,7 +36,7 @@ def cases(quick: bool) -> Iterator[Row]:
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
     header = (
-        "points,N,backend,parameters,E,1 thread (s),2 threads (s),times as fast,efficiency (%),"
+        f"{tables.CASE},E,1 thread (s),2 threads (s),times as fast,efficiency (%),"
         "paper: 1 core (s),paper: 2 cores (s),paper: efficiency (%)"
     )
     return tables.table(header.split(","), map(_line, rows))
@@ -45,10 +45,7 @@ def table(rows: list[Row]) -> str:
 def _line(row: Row) -> list[str]:
     one, two = _paper(row)
     return [
-        row["points"],
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
+        *tables.case(row),
         tables.error(row["error"]),
         tables.seconds(row),
         tables.seconds(row, "seconds2"),

@@ -28,16 +28,13 @@ def cases(quick: bool) -> Iterator[Row]:
 
 def table(rows: list[Row]) -> str:
     """Return a row for each sum."""
-    header = "points,N,backend,parameters,E,build (s),seconds,a point beside the cube"
+    header = f"{tables.CASE},E,build (s),seconds,a point beside the cube"
     return tables.table(header.split(","), (_line(row, rows) for row in rows))
 
 
 def _line(row: Row, rows: list[Row]) -> list[str]:
     return [
-        row["points"],
-        f"{row['n']:,}",
-        row["backend"],
-        tables.options(row),
+        *tables.case(row),
         tables.error(row["error"]),
         tables.build(row),
         tables.seconds(row),

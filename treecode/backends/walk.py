@@ -13,6 +13,7 @@ import numpy as np
 from tqdm import tqdm
 
 from treecode.kernels.base import Kernel
+from treecode.timing import Seconds
 from treecode.traversal import (
     ALL_TICKS,
     BATCH_SIZE,
@@ -48,8 +49,8 @@ class Walk:
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M); the arrays are kept, and permuted."""
-        self.seconds: dict[str, float] = {}
-        with self._stage("tree"):
+        self.seconds = Seconds()
+        with self.seconds.stage("tree"):
             self.sources = sources
             self._tree, self.source_order = self._module.build(sources, self.leaf_size)
             if targets is None:
@@ -69,11 +70,11 @@ class Walk:
         batches = -(-len(values) // BATCH_SIZE)
         notes = self._notes = np.zeros((batches, NOTES), np.int64)
         if len(strengths) and len(values):
-            with self._stage("weights"), _threads_for(len(strengths)):
+            with self.seconds.stage("weights"), _threads_for(len(strengths)):
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights)
                 self._module.update(self._expansion, self._tree, self.sources, weights)
-            with self._stage("walk"), _threads_for(len(values)):
+            with self.seconds.stage("walk"), _threads_for(len(values)):
                 for first, last in self._slabs(batches):
                     evaluate_batches(
                         self.kernel,
@@ -109,12 +110,6 @@ class Walk:
             "far_pairs": noted[FAR_PAIRS],
             "bytes": sum(array.nbytes for array in held),
         }
-
-    @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - start
 
     def _divide_walk(self, notes: np.ndarray) -> None:
         """Divide the time of the walk into near and far sums, and the rest, as batches noted."""

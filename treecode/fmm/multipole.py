@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -20,6 +19,7 @@ from treecode.fmm.octree import Octree, build_octree, direct_lists, root_widths
 from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_transfer
 from treecode.fmm.store import get_level
 from treecode.kernels.base import MEMBERS, Kernel
+from treecode.timing import Seconds
 from treecode.traversal import load_weights
 
 MIN_DEGREE = 1
@@ -36,6 +36,7 @@ _LEAVES = 64  # of these, where points meet points
 _SAMPLE = 40_000  # points from which the side of the root is chosen,
 _PER_LEAF = 8  # more if fewer than so many would be left in a leaf
 _ROOM = 64  # more than any lanes
+_OFFSETS = np.array(OFFSETS)
 
 
 class Multipole:
@@ -70,7 +71,7 @@ class Multipole:
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M), and find who acts on whom; the arrays are kept."""
-        self.seconds: dict[str, float] = {}
+        self.seconds = Seconds()
         self._done = False
         same = targets is None
         points = sources if targets is None else np.concatenate([sources, targets], axis=1)
@@ -80,7 +81,7 @@ class Multipole:
         self._tree: Octree | None = None
         if not (self.sources.size and self.targets.size):
             return
-        with self._stage("tree"):
+        with self.seconds.stage("tree"):
             split = None if same else sources.shape[1]
             self._choose_width(points, split)
             few = points.shape[1] <= self._direct
@@ -93,7 +94,7 @@ class Multipole:
                 self.sources = np.ascontiguousarray(sources[:, self.source_order])
                 self.targets = np.ascontiguousarray(self.targets[:, self.target_order])
             self._find_neighbours(self._tree)
-        with self._stage("operators"):
+        with self.seconds.stage("operators"):
             self._get_operators(self._tree)
 
     def price(self, sources: np.ndarray, targets: np.ndarray | None) -> float:
@@ -112,19 +113,19 @@ class Multipole:
         if self._tree is None:
             return values
         with _blas_of_one_thread(), _Threads(self._progress) as threads:
-            with self._stage("weights"):
+            with self.seconds.stage("weights"):
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights)
-            with self._stage("upward"):
+            with self.seconds.stage("upward"):
                 outer = self._upward(self._tree, weights, threads)
-            with self._stage("translations"):
+            with self.seconds.stage("translations"):
                 inner = self._across(self._tree, outer, threads)
                 self._across_sizes(self._tree, inner, weights)
-            with self._stage("downward"):
+            with self.seconds.stage("downward"):
                 self._downward(self._tree, inner, threads)
-            with self._stage("near"):
+            with self.seconds.stage("near"):
                 self._near_field(self._tree, outer, weights, values, threads)
-            with self._stage("far"):
+            with self.seconds.stage("far"):
                 self._evaluate(self._tree, inner, values, threads)
         return values
 
@@ -156,12 +157,6 @@ class Multipole:
             "far_pairs": far_pairs,
             "bytes": sum(array.nbytes for array in held),
         }
-
-    @contextmanager
-    def _stage(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
-        yield
-        self.seconds[name] = time.perf_counter() - start
 
     def _choose_width(self, points: np.ndarray, split: int | None) -> None:
         """Choose the side of the root, which sets how full the leaves are; keep it if it fits."""
@@ -205,7 +200,7 @@ class Multipole:
         self._first = min(tree.level[between_sizes], default=tree.depth + 1)
         for level in range(_FIRST, self._first):
             boxes = self._boxes_with_targets(tree, level)
-            if passes.has_far_sources(tree, boxes, np.array(OFFSETS)):
+            if passes.has_far_sources(tree, boxes, _OFFSETS):
                 self._first = level
                 break
         halves = [tree.half(level) for level in range(self._first, tree.depth + 1)]
@@ -314,7 +309,7 @@ class Multipole:
             passes.translate(
                 tree,
                 boxes[chunk],
-                np.array(OFFSETS),
+                _OFFSETS,
                 operators.matrices,
                 operators.begin,
                 operators.used,

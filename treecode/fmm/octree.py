@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode._jit import compiled, inlined
-from treecode.tree import OCTANTS, octant_of, resized, sort_octants
+from treecode.tree import OCTANTS, count_octants, resized, sort_octants
 
 _MAX_LEVEL = 48  # cells are numbered in int64, and doubles tell no finer ones apart
 _NEIGHBOURS = 27
@@ -176,13 +176,7 @@ def _split(points, order, split, low, width, leaf_size, levels):
             side = width * 0.5**level
             for d in range(3):
                 middle[d] = low[d] + (cells[box, d] + 0.5) * side
-            for octant in range(OCTANTS + 1):
-                begin[octant] = 0
-            for i in range(start, stop):
-                begin[octant_of(points, i, middle) + 1] += 1
-            begin[0] = start
-            for octant in range(OCTANTS):
-                begin[octant + 1] += begin[octant]
+            count_octants(points, start, stop, middle, begin)
             sort_octants(points, order, middle, begin)
             if count + OCTANTS > capacity:
                 capacity *= 2

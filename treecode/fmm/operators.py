@@ -21,7 +21,7 @@ Channels of different units (forces and torques) are brought to one size before.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -46,7 +46,7 @@ _SAMPLES = 64
 _OVERSAMPLING = 2  # equations for each unknown in fits
 _FEW_SAMPLES = 8  # to choose a degree
 _AT_A_TIME = 64  # of these points, for memory
-_FEW_MODES = 64
+_FEW_MODES = 64  # singular vectors of a class that are looked for first
 
 
 class Level(NamedTuple):
@@ -56,8 +56,8 @@ class Level(NamedTuple):
     ----------
     degree : int
         Polynomials in each direction.
-    sources, values : tuple of 8 (3 + degree^3 ...) arrays
-        For each class the matrix from Legendre coefficients to compressed ones.
+    source_basis, value_basis : tuple of 8 (members, rank) float64 arrays
+        For each class the combinations of Legendre coefficients that are kept.
     source_members, value_members : tuple of 8 int64 arrays
         The coefficients in each class, as flat indices of (channel, k1, k2, k3).
     source_scale, value_scale : (channels,) float64
@@ -102,15 +102,19 @@ class Level(NamedTuple):
     def nodes(self, half: float) -> np.ndarray:
         """Return Gauss points in a cube, (3, degree^3)."""
         x, _ = _gauss(self.degree)
-        return half * np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
+        return half * _grid(x)
 
     def project(self, values: np.ndarray) -> np.ndarray:
         """Return Legendre coefficients of values at the nodes, both (channels, degree^3)."""
-        return _along_axes(_gauss(self.degree)[1], values)
+        return self._apply(_gauss(self.degree)[1], values)
 
     def spread(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the weights of nodes that act as Legendre coefficients do."""
-        return _along_axes(_gauss(self.degree)[1].T, coefficients)
+        return self._apply(_gauss(self.degree)[1].T, coefficients)
+
+    def _apply(self, matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+        cubes = values.reshape(-1, *3 * (self.degree,))
+        return _along_axes(matrix, cubes).reshape(len(values), -1)
 
 
 def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
@@ -126,13 +130,24 @@ def _gauss(degree: int) -> tuple[np.ndarray, np.ndarray]:
     return x, _polynomials(x, degree) * w
 
 
+def _grid(x: np.ndarray) -> np.ndarray:
+    """Return the points of a cubic grid, (3, n^3)."""
+    return np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, -1)
+
+
 def _along_axes(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Apply a (n, n) matrix to each of three axes of (channels, n^3) values."""
-    n = len(matrix)
-    out = values.reshape(-1, n, n, n)
-    for _ in range(3):  # each takes the first axis of the cube to the end
-        out = np.tensordot(out, matrix, axes=(1, 1))
-    return out.reshape(len(values), -1)
+    """Apply a (m, n) matrix to the axes 1, 2 and 3 of an array, which go to its end."""
+    for _ in range(3):
+        values = np.tensordot(values, matrix, axes=(1, 1))
+    return values
+
+
+def _class_of(members: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the class of each coefficient."""
+    out = np.empty(sum(map(len, members)), np.int64)
+    for c, own in enumerate(members):
+        out[own] = c
+    return out
 
 
 class _Side(NamedTuple):
@@ -207,16 +222,14 @@ def _fields(
     outside *= distance / np.abs(outside).max(axis=1, keepdims=True)
     x, w = legendre.leggauss(degree + 2)
     project = _polynomials(x, degree) * w
-    grid = np.stack(np.meshgrid(x, x, x, indexing="ij")).reshape(3, 1, -1)
+    grid = _grid(x)[:, None]
     parts = []
     for some in np.array_split(np.arange(samples), -(-samples // _AT_A_TIME)):
         values = table(half * (grid - outside[some].T[:, :, None]).reshape(3, -1))
         values = values.reshape(len(some), len(x), len(x), len(x), *values.shape[1:])
         values = values * distance[some][:, :, None, None, None, None]
-        for _ in range(3):  # each takes the first axis of the cube to the end
-            values = np.tensordot(values, project, axes=(1, 1))
         # channel inside, k1, k2, k3, sample, channel outside
-        values = values.transpose(1, 3, 4, 5, 0, 2)
+        values = _along_axes(project, values).transpose(1, 3, 4, 5, 0, 2)
         parts.append(values.reshape(values.shape[0], degree**3, -1))
     coefficients = np.concatenate(parts, axis=2)
     square = (coefficients**2).sum(axis=(1, 2))
@@ -403,9 +416,7 @@ def _side(table: Callable, channels: Channels, half: float, degree: int, budget:
     samples = -(-_SAMPLES * degree // len(permutations))
     fields, scale = _fields(table, channels, half, degree, samples)
     members = _members(degree, channels.parity)
-    class_of = np.empty(len(fields), np.int64)
-    for c in range(CLASSES):
-        class_of[members[c]] = c
+    class_of = _class_of(members)
     negligible = 0.01 * budget * len(permutations) * np.vdot(fields, fields)
     modes: list[tuple[np.ndarray, np.ndarray]] = []
     for c in range(CLASSES):
@@ -484,10 +495,9 @@ def _all_blocks(
 def _rotations(side: _Side, basis: tuple[np.ndarray, ...]) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return for each permutation of axes the class that each is made from, and how, (8, m, m)."""
     embedded = np.zeros((CLASSES, sum(map(len, side.members)), basis[0].shape[1]))
-    class_of = np.empty(embedded.shape[1], np.int64)
+    class_of = _class_of(side.members)
     for c in range(CLASSES):
         embedded[c, side.members[c]] = basis[c]
-        class_of[side.members[c]] = c
     out = []
     for places, signs in _permutations(side.channels, side.degree):
         classes = np.array([class_of[places[own]].max(initial=0) for own in side.members])
@@ -547,8 +557,7 @@ def _merge(child: tuple, parent: tuple) -> np.ndarray:
         full = np.zeros((len(scale) * degree**3, basis[q].shape[1]))
         full[members[q]] = basis[q]
         full = full.reshape(len(scale), degree, degree, degree, -1) * ratio
-        for axis in (1, 2, 3):
-            full = np.moveaxis(np.tensordot(shift, full, axes=(1, axis)), 0, axis)
+        full = np.moveaxis(_along_axes(shift, full), 1, -1)
         full = full.reshape(len(scale) * parent_degree**3, -1)
         for p in range(CLASSES):
             block = full[parent_members[p]].T @ parent_basis[p]

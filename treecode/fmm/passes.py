@@ -38,6 +38,14 @@ def _products(y, z, polynomials, out):
             out[k * degree + j] = factor * out[j]
 
 
+@inlined
+def _basis(points, i, center, scale, polynomials, products):
+    """Write the polynomials in x, and the products of those in y and z, at a point of a cube."""
+    y, z = (points[1, i] - center[1]) * scale, (points[2, i] - center[2]) * scale
+    _products(y, z, polynomials, products)
+    _legendre((points[0, i] - center[0]) * scale, polynomials)
+
+
 @compiled
 def expand_points(points, weights, ranges, centers, half, out):
     """Write the Legendre coefficients of the weights in some cubes (P2M).
@@ -63,10 +71,7 @@ def expand_points(points, weights, ranges, centers, half, out):
                 for j in range(degree * degree):
                     sums[c, k, j] = 0.0
         for i in range(ranges[box, 0], ranges[box, 1]):
-            y = (points[1, i] - centers[box, 1]) * scale
-            z = (points[2, i] - centers[box, 2]) * scale
-            _products(y, z, polynomials, products)
-            _legendre((points[0, i] - centers[box, 0]) * scale, polynomials)
+            _basis(points, i, centers[box], scale, polynomials, products)
             for c in range(sums.shape[0]):
                 weight = weights[c, i]
                 for k in range(degree):
@@ -98,10 +103,7 @@ def evaluate_points(coefficients, points, ranges, centers, half, order, values):
     scale = 1.0 / half
     for box in range(len(ranges)):
         for i in range(ranges[box, 0], ranges[box, 1]):
-            y = (points[1, i] - centers[box, 1]) * scale
-            z = (points[2, i] - centers[box, 2]) * scale
-            _products(y, z, polynomials, products)
-            _legendre((points[0, i] - centers[box, 0]) * scale, polynomials)
+            _basis(points, i, centers[box], scale, polynomials, products)
             for c in range(coefficients.shape[1]):
                 for j in range(degree * degree):
                     inner[j] = polynomials[0] * coefficients[box, c, 0, j]
