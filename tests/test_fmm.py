@@ -41,6 +41,10 @@ def test_reaches_the_tolerance(kernel):
     assert info["near_pairs"] < 0.2 * 6000**2
     singular = not hasattr(kernel, "epsilon")
     assert info["precision"] == ("float64" if singular else "float32")
+    levels = plan._sum._levels.values()
+    # A kernel without a length of its own needs the operators of one size alone.
+    assert len({id(level.matrices) for level in levels}) == (1 if singular else len(levels))
+    assert len(levels) > 1
 
 
 def test_converges():

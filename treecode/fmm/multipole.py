@@ -18,6 +18,7 @@ from treecode.fmm import passes
 from treecode.fmm.octree import Octree, build_octree, direct_lists, root_widths
 from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_transfer
 from treecode.fmm.store import get_level
+from treecode.fmm.symmetry import scale_powers
 from treecode.kernels.base import MEMBERS, Kernel
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -132,7 +133,7 @@ class Multipole:
     def info(self) -> dict[str, Any]:
         """Return parameters, the size of the tree, pairs of the last sum and bytes held."""
         near_pairs, far_pairs = map(int, self._pairs) if self._done else (None, None)
-        held = [self.sources, self.source_order]
+        held: list[np.ndarray] = [self.sources, self.source_order]
         if self.targets is not self.sources:
             held += [self.targets, self.target_order]
         depth = boxes = 0
@@ -155,7 +156,8 @@ class Multipole:
             "clusters": boxes,
             "near_pairs": near_pairs,
             "far_pairs": far_pairs,
-            "bytes": sum(array.nbytes for array in held),
+            # Levels may share their operators.
+            "bytes": sum({id(array): array.nbytes for array in held}.values()),
         }
 
     def _choose_width(self, points: np.ndarray, split: int | None) -> None:
@@ -213,18 +215,26 @@ class Multipole:
         single = self.tolerance >= SINGLE and bool(halves)
         single = single and passes.single_serves(self.kernel, halves[-1], self.tolerance)
         self._dtype = np.float32 if single else np.float64
-        self._levels, self._transfers = {}, {}
+        powers = scale_powers(self.kernel, halves) if halves else None
+        sizes = halves if powers is None else [1.0]  # one serves all
+        levels: dict[float, Level] = {}
 
         def get(chunk: slice) -> None:
-            for i in range(chunk.start, chunk.stop):
-                self._levels[self._first + i] = get_level(
-                    self.kernel, halves[i], _SAFETY * self.tolerance, self.degree, self._dtype
-                )
+            half = sizes[chunk.start]
+            levels[half] = get_level(
+                self.kernel, half, _SAFETY * self.tolerance, self.degree, self._dtype
+            )
 
         with _blas_of_one_thread(), _Threads() as threads:
-            threads(get, len(halves), 1)
-        for level in range(self._first + 1, self._first + len(halves)):
-            self._transfers[level] = make_transfer(self._levels[level], self._levels[level - 1])
+            threads(get, len(sizes), 1)
+        self._levels = {
+            self._first + i: levels[half] if powers is None else levels[1.0].resized(half, powers)
+            for i, half in enumerate(halves)
+        }
+        self._transfers = {
+            level: make_transfer(self._levels[level], self._levels[level - 1])
+            for level in range(self._first + 1, self._first + len(halves))
+        }
 
     def _boxes_with_targets(self, tree: Octree, level: int) -> np.ndarray:
         boxes = np.arange(tree.first[level], tree.first[level + 1])

@@ -69,6 +69,25 @@ def _tabulate(kernel, points, origin, units, out):
         )
 
 
+def scale_powers(kernel: Kernel, lengths: list[float]) -> np.ndarray | None:
+    """Return p with ``K(s r)[i, j] = s^p[j] K(r)[i, j]``; None if a kernel has a length of its own.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    lengths : list of float
+        At which this has to hold, as well as between 2^-200 and 2^200.
+    """
+    points = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))
+    scale = np.append(2.0 ** np.arange(-200.0, 201.0, 20.0), lengths)
+    one, two = tabulate(kernel, points), tabulate(kernel, 2.0 * points)
+    with np.errstate(all="ignore"):  # what leaves the range of doubles is not the same
+        powers = np.log2(np.linalg.norm(two, axis=(0, 1)) / np.linalg.norm(one, axis=(0, 1)))
+        tables = np.array([tabulate(kernel, s * points) / s**powers for s in scale])
+        same = np.abs(tables - one) <= _SAME * np.abs(one).max(axis=(0, 1))
+    return powers if same.all() else None
+
+
 def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
     """Find how a kernel behaves under reflections and permutations of the axes.
 
