@@ -16,6 +16,7 @@ import json
 import math
 import sys
 import time
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,13 @@ class Sum:
             return None
         options = {"theta": winner.theta, "degree": winner.degree}
         plans = [tc.Plan(KERNEL, backend, leaf_size=size, **options) for size in auto.LEAF_SIZES]
-        return min(plans, key=lambda plan: self.lap(plan)[1])
+        laps = [self.lap(plan) for plan in plans]
+        good = [
+            (seconds, plan)
+            for plan, (values, seconds) in zip(plans, laps, strict=True)
+            if self.error(values) <= tol
+        ]
+        return min(good, key=itemgetter(0))[1]
 
     def multipole(self, tol: float) -> tc.Plan | None:
         """Return the same for the fast multipole method."""

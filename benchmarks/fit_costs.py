@@ -154,7 +154,6 @@ def model(kernel: tc.Kernel) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    default = Path(auto.__file__).with_name("costs.json")
     parser.add_argument("--kernels", nargs="+", choices=KERNELS, default=KERNELS)
     default = Path(auto.__file__).with_name("costs.json")
     parser.add_argument("--output", type=Path, default=default)

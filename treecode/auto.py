@@ -40,7 +40,7 @@ FEW = 1_000_000  # pairs: what takes a millisecond is not thought about
 PROBE: dict[str, Any] = {"theta": 0.7, "degree": 3, "leaf_size": 500}
 
 _PILOTS = 64  # targets at which errors are looked at before a sum
-_SAMPLES = 192  # and after it
+_SAMPLES = 400  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.5  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm"
