@@ -2,20 +2,25 @@
 
     python -m benchmarks.tolerance [--cases 500] [--largest 200000] [--output FILE]
 
-Every case is kept in --rows, so that the command goes on where it ended.
+Every case is kept in --rows, so that the command goes on where it ended. Each processor has a case
+at a time, on one thread.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
+from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -35,6 +40,7 @@ CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
 
 def solve(seed: int, largest: int) -> dict[str, Any]:
     """Return one case, what was chosen for it, and the error."""
+    numba.set_num_threads(1)
     case = test_tolerance.Case.draw(seed, largest)
     start = time.perf_counter()
     error, plan = test_tolerance.solve(case)
@@ -65,13 +71,16 @@ def main() -> None:
     options = parser.parse_args()
     kept = options.rows.read_text().splitlines() if options.rows.exists() else []
     rows = {row["seed"]: row for row in map(json.loads, kept)}
-    for seed in range(options.cases):
-        if seed not in rows:
-            rows[seed] = solve(seed, options.largest)
+    missing = [seed for seed in range(options.cases) if seed not in rows]
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+        solved = [pool.submit(solve, seed, options.largest) for seed in missing]
+        for future in tqdm(as_completed(solved), total=len(missing), unit="case"):
+            row = future.result()
+            rows[row["seed"]] = row
             with options.rows.open("a") as file:
-                file.write(json.dumps(rows[seed]) + "\n")
-            if rows[seed]["error"] > rows[seed]["tol"]:
-                print(rows[seed], file=sys.stderr, flush=True)
+                file.write(json.dumps(row) + "\n")
+            if row["error"] > row["tol"]:
+                print(row, file=sys.stderr, flush=True)
     lines = [
         "# Asked and achieved errors\n",
         f"{len(rows)} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",

@@ -121,7 +121,7 @@ class Multipole:
                 outer = self._upward(self._tree, weights, threads)
             with self.seconds.stage("translations"):
                 inner = self._across(self._tree, outer, threads)
-                self._across_sizes(self._tree, inner, weights)
+                self._across_sizes(self._tree, inner, weights, threads)
             with self.seconds.stage("downward"):
                 self._downward(self._tree, inner, threads)
             with self.seconds.stage("near"):
@@ -189,7 +189,7 @@ class Multipole:
         self._source_leaves = np.flatnonzero(leaf & (sources > 0))
         self._target_leaves = np.flatnonzero(leaf & self._has_targets)
         # Nodes that would stand for an expansion; its degree is known when operators are.
-        worth = (self.degree or round(1.5 * math.log10(1.0 / (_SAFETY * self.tolerance)))) ** 3
+        worth = (self.degree or math.ceil(1.5 * math.log10(1.0 / (_SAFETY * self.tolerance)))) ** 3
         self._near_lists = direct_lists(tree, self._target_leaves, worth, False)
         begin, entries = direct_lists(tree, np.arange(len(tree.level)), worth, True)
         self._coarse_boxes = np.flatnonzero(np.diff(begin))
@@ -332,34 +332,45 @@ class Multipole:
         self._pairs[1] += pairs.sum()
 
     def _across_sizes(
-        self, tree: Octree, inner: dict[int, np.ndarray], weights: np.ndarray
+        self, tree: Octree, inner: dict[int, np.ndarray], weights: np.ndarray, threads: _Threads
     ) -> None:
         """Add what the points of larger leaves do in smaller cubes (P2L)."""
+        for level in self._levels:
+            self._act_on_smaller(tree, level, inner[level], weights, threads)
+
+    def _act_on_smaller(
+        self, tree: Octree, level: int, inner: np.ndarray, weights: np.ndarray, threads: _Threads
+    ) -> None:
+        operators = self._levels[level]
+        boxes = self._coarse_boxes
+        first, stop = np.searchsorted(tree.level[boxes], (level, level + 1))
         begin, entries = self._coarse_lists
-        for i, box in enumerate(self._coarse_boxes):
-            level = int(tree.level[box])
-            operators = self._levels[level]
-            nodes = operators.nodes(tree.half(level))
-            padded = np.pad(nodes, ((0, 0), (0, _ROOM)))
-            out = np.zeros((1, self.kernel.value_size, nodes.shape[1]))
+        nodes = operators.nodes(tree.half(level))
+        padded = np.pad(nodes, ((0, 0), (0, _ROOM)))
+
+        def act(chunk: slice) -> None:
+            rows = slice(first + chunk.start, first + chunk.stop)
+            out = np.zeros((len(boxes[rows]), self.kernel.value_size, nodes.shape[1]))
             passes.coarse_field(
                 self.kernel,
                 self.sources,
                 weights,
                 tree.source,
-                begin[i : i + 2],
+                begin[rows.start : rows.stop + 1],
                 entries,
                 padded,
-                tree.centers(np.array([box])),
+                tree.centers(boxes[rows]),
                 out,
             )
-            coefficients = operators.project(out[0] * operators.value_scale[:, None]).ravel()
-            self._pairs[1] += (
-                nodes.shape[1] * np.diff(tree.source)[entries[begin[i] : begin[i + 1]]].sum()
-            )
+            coefficients = operators.project(out * operators.value_scale[:, None])
+            flat = coefficients.reshape(len(out), -1)
             for c in range(CLASSES):
                 members, basis = operators.value_members[c], operators.value_basis[c]
-                inner[level][box - tree.first[level], c] += coefficients[members] @ basis
+                inner[boxes[rows] - tree.first[level], c] += flat[:, members] @ basis
+
+        threads(act, stop - first, _LEAVES)
+        acting = entries[begin[first] : begin[stop]]
+        self._pairs[1] += nodes.shape[1] * np.diff(tree.source)[acting].sum()
 
     def _downward(self, tree: Octree, inner: dict[int, np.ndarray], threads: _Threads) -> None:
         """Pass expansions on from parents to children (L2L)."""
@@ -426,21 +437,24 @@ class Multipole:
     def _proxies(self, tree: Octree, outer: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
         """Return points and weights that stand for the expansions of some cubes."""
         boxes = self._proxy_boxes
-        most = max((self._levels[level].degree for level in tree.level[boxes]), default=0) ** 3
+        levels = np.unique(tree.level[boxes]).tolist()
+        most = max((self._levels[level].degree for level in levels), default=0) ** 3
         points = np.zeros((len(boxes), 3, most))
         weights = np.zeros((len(boxes), self.kernel.weight_size, most))
-        for i, box in enumerate(boxes):
-            level = int(tree.level[box])
+        for level in levels:
             operators = self._levels[level]
+            rows = np.flatnonzero(tree.level[boxes] == level)
             nodes = operators.nodes(tree.half(level))
-            row = outer[level][box - tree.first[level]].reshape(CLASSES, -1)
-            coefficients = np.zeros((len(weights[i]), nodes.shape[1]))
+            expansions = outer[level][boxes[rows] - tree.first[level]]
+            by_class = expansions.reshape(len(rows), CLASSES, -1)
+            coefficients = np.empty((len(rows), self.kernel.weight_size, nodes.shape[1]))
+            flat = coefficients.reshape(len(rows), -1)
             for c in range(CLASSES):
-                functions = operators.source_basis[c] @ row[c]
-                coefficients.reshape(-1)[operators.source_members[c]] = functions
+                functions = by_class[:, c] @ operators.source_basis[c].T
+                flat[:, operators.source_members[c]] = functions
             spread = operators.spread(coefficients * operators.source_scale[:, None])
-            points[i, :, : nodes.shape[1]] = tree.centers(boxes[i : i + 1]).T + nodes
-            weights[i, :, : nodes.shape[1]] = spread
+            points[rows, :, : nodes.shape[1]] = tree.centers(boxes[rows])[:, :, None] + nodes
+            weights[rows, :, : nodes.shape[1]] = spread
         return points, weights
 
     def _evaluate(

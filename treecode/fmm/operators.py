@@ -115,7 +115,7 @@ class Level(NamedTuple):
         return half * _grid(x)
 
     def project(self, values: np.ndarray) -> np.ndarray:
-        """Return Legendre coefficients of values at the nodes, both (channels, degree^3)."""
+        """Return Legendre coefficients of values at the nodes, both (boxes, channels, degree^3)."""
         return self._apply(_gauss(self.degree)[1], values)
 
     def spread(self, coefficients: np.ndarray) -> np.ndarray:
@@ -124,7 +124,7 @@ class Level(NamedTuple):
 
     def _apply(self, matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
         cubes = values.reshape(-1, *3 * (self.degree,))
-        return _along_axes(matrix, cubes).reshape(len(values), -1)
+        return _along_axes(matrix, cubes).reshape(values.shape)
 
 
 def _polynomials(x: np.ndarray, degree: int) -> np.ndarray:
