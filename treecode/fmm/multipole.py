@@ -199,7 +199,7 @@ class Multipole:
     def _get_operators(self, tree: Octree) -> None:
         """Get the operators from the first level on that has anything far from anything."""
         between_sizes = np.append(self._coarse_boxes, self._proxy_boxes)
-        self._first = min(tree.level[between_sizes], default=tree.depth + 1)
+        self._first = int(min(tree.level[between_sizes], default=tree.depth + 1))
         for level in range(_FIRST, self._first):
             boxes = self._boxes_with_targets(tree, level)
             if passes.has_far_sources(tree, boxes, _OFFSETS):
