@@ -27,7 +27,6 @@ SAMPLES = 2000  # targets at which errors are taken, as in K 8.1.2
 DIRECT_PAIRS, SAMPLED_PAIRS = 7e9, 3e9  # of direct sums; beyond the first, the second stand for all
 REPEATS, ENOUGH = 3, 6.0  # a sum is repeated so often, if that takes no more than so many seconds
 FEW = 4000  # points with which compiled code is warmed up
-HAS_FMM3D = importlib.util.find_spec("fmm3dpy") is not None
 
 
 @dataclass
@@ -79,6 +78,11 @@ class Fmm3d:
 
     def info(self) -> dict[str, Any]:
         return {"seconds": {}}
+
+
+def can_measure(case: Row) -> bool:
+    """Tell whether what a case needs is installed."""
+    return case.get("backend") != "fmm3d" or importlib.util.find_spec("fmm3dpy") is not None
 
 
 def draw(n: int, count: int) -> np.ndarray:

@@ -51,8 +51,7 @@ def cases(quick: bool) -> Iterator[Row]:
                 for degree in degrees:
                     yield common | treecode(backend, theta, degree)
         yield from (common | {"backend": "fmm", "tol": tol} for tol in grid["fmm"])
-        if sums.HAS_FMM3D:
-            yield from (common | {"backend": "fmm3d", "tol": tol} for tol in grid["fmm3d"])
+        yield from (common | {"backend": "fmm3d", "tol": tol} for tol in grid["fmm3d"])
 
 
 def treecode(backend: str, theta: float, degree: int, leaf_size: int = 2000) -> Row:
