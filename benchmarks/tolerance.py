@@ -86,7 +86,8 @@ def main() -> None:
         f"{len(rows)} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",
         f"{options.largest} points, strengths that are random, without a net force, or pairs that",
         "push against each other, and tolerances from 1e-10 to 1e-2. Errors, K eq. (8.1), by the",
-        "oracle of the tests or, where that is too slow, by direct sums at 2000 targets.\n",
+        "oracle of the tests or, where that is too slow, by direct sums at 2000 targets, over the",
+        "norm of all values.\n",
         machine() + "\n",
         *table(list(rows.values())),
     ]

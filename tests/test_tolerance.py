@@ -109,8 +109,19 @@ class Case(NamedTuple):
         return kernel, *strengths_of(self.strengths, kernel, SETS[self.points](self.n, rng), rng)
 
 
+def error_at(drawn, values, exact):
+    """Return the relative error, K eq. (8.1), from exact values at targets that are drawn.
+
+    The norm is that of all values. A few large ones make it, which a draw misses: for 48775
+    stresslets on a sphere it took an error of 4.6e-11 for one of 5.6e-10.
+    """
+    norm = np.hypot(np.linalg.norm(exact), np.linalg.norm(np.delete(values, drawn, axis=0)))
+    share = len(drawn) / len(values)
+    return float(np.linalg.norm(values[drawn] - exact) / np.sqrt(share) / norm)
+
+
 def achieved(kernel, points, strengths, values):
-    """Return the relative error, K eq. (8.1): by the oracle, of large sums by direct ones.
+    """Return the relative error: by the oracle, of large sums by direct ones.
 
     At all targets, or at 2000 that are drawn.
     """
@@ -119,7 +130,7 @@ def achieved(kernel, points, strengths, values):
         exact = oracle.exact(kernel, points, strengths, points[drawn]).astype(float)
     else:
         exact = tc.evaluate(kernel, points, strengths, points[drawn], backend="direct")
-    return tc.relative_error(values[drawn], exact)
+    return error_at(drawn, values, exact)
 
 
 def solve(case):
