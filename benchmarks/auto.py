@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 import test_tolerance
 
 import treecode as tc
-from benchmarks.machine import machine, publish
+from benchmarks.machine import machine_today, publish
 from treecode import auto
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
@@ -153,7 +153,7 @@ def main() -> None:
         *__doc__.split("\n\n")[2].splitlines(),
         "`ratio` is `auto` to the smallest of the four before it, `first` its first sum, with the",
         "look at a few targets and the sampled error.\n",
-        machine() + "\n",
+        machine_today() + ".\n",
         "| " + " | ".join(COLUMNS) + " |",
         "|---" * len(COLUMNS) + "|",
         *("| " + " | ".join(r.values()) + " |" for r in rows.values()),

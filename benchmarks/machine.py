@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import os
 import platform
 from importlib.metadata import version
@@ -21,6 +22,11 @@ def machine() -> str:
         f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
         f"Python {platform.python_version()}, {versions}"
     )
+
+
+def machine_today() -> str:
+    """Return the same with the date."""
+    return f"{machine()}; {datetime.date.today()}"
 
 
 def publish(lines: list[str], output: Path | None) -> None:

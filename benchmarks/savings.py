@@ -6,7 +6,6 @@ python -m benchmarks.savings [--output docs/profile.md]
 from __future__ import annotations
 
 import argparse
-import datetime
 import subprocess
 import sys
 import time
@@ -20,7 +19,7 @@ from tqdm import tqdm
 
 import mrs
 import treecode as tc
-from benchmarks.machine import machine, publish
+from benchmarks.machine import machine_today, publish
 from mrs.profile import STAGES, Profile
 from treecode.backends import taylor
 
@@ -205,7 +204,7 @@ def main() -> None:
     options = parser.parse_args()
     lines = [
         "# What a step costs",
-        f"\n{machine()}; {datetime.date.today()}. Written by `python -m benchmarks.savings`.",
+        f"\n{machine_today()}. Written by `python -m benchmarks.savings`.",
         f"\n## By stage\n\nMedians of {STEPS} steps of forward Euler.\n",
         *profiles(),
         f"\n## With and without\n\nMedians of {TURNS} turns.\n",

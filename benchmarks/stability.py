@@ -6,14 +6,13 @@ python -m benchmarks.stability [--quick] [--output FILE]
 from __future__ import annotations
 
 import argparse
-import datetime
 import inspect
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.machine import machine, publish
+from benchmarks.machine import machine_today, publish
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -42,7 +41,7 @@ def main() -> None:
         "# Stability\n",
         "What is asked at the limits, what happened, and the bound. A rounding is 2^-53, theta is",
         f"{test_stability.THETA} where no other is named.\n",
-        f"{machine()}; {datetime.date.today()}.",
+        f"{machine_today()}.",
     ]
     functions = []
     for case in test_stability.CASES:

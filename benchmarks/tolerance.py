@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
 import test_tolerance
 
-from benchmarks.machine import machine, publish
+from benchmarks.machine import machine_today, publish
 
 CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "kernel": lambda row: row["kernel"],
@@ -88,7 +88,7 @@ def main() -> None:
         "push against each other, and tolerances from 1e-10 to 1e-2. Errors, K eq. (8.1), by the",
         "oracle of the tests or, where that is too slow, by direct sums at 2000 targets, over the",
         "norm of all values.\n",
-        machine() + "\n",
+        machine_today() + ".\n",
         *table(list(rows.values())),
     ]
     publish(lines, options.output)
