@@ -60,14 +60,17 @@ def test_converges():
     assert np.all(np.diff(np.log10(errors)) < -1.0)
 
 
+END = pytest.mark.xfail(reason="rounding in the fits of operators ends at 4e-12", strict=True)
+
+
 @pytest.mark.slow
-def test_converges_to_rounding():
-    """That of the fits of operators, which take up to two gigabytes a level."""
+@pytest.mark.parametrize("tol", [1e-8, 1e-10, pytest.param(1e-12, marks=END)])
+def test_converges_to_rounding(tol):
+    """Twelve digits; operators of up to two gigabytes a level."""
     points, strengths, _ = random_case(KERNEL, 3000, 1)
-    for tol in (1e-8, 1e-10, 1e-12):
-        achieved, plan = error(KERNEL, tol, points, strengths, leaf_size=40)
-        assert plan.info()["near_pairs"] < 0.5 * 3000**2
-        assert achieved <= max(tol, 5e-12)
+    achieved, plan = error(KERNEL, tol, points, strengths, leaf_size=40)
+    assert plan.info()["near_pairs"] < 0.5 * 3000**2
+    assert achieved <= tol
 
 
 def test_same_sign():

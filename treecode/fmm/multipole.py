@@ -227,14 +227,15 @@ class Multipole:
 
         with _blas_of_one_thread(), _Threads() as threads:
             threads(get, len(sizes), 1)
-        self._levels = {
-            self._first + i: levels[half] if powers is None else levels[1.0].resized(half, powers)
-            for i, half in enumerate(halves)
-        }
-        self._transfers = {
-            level: make_transfer(self._levels[level], self._levels[level - 1])
-            for level in range(self._first + 1, self._first + len(halves))
-        }
+        if powers is not None:
+            levels = {half: levels[1.0].resized(half, powers) for half in halves}
+        self._levels = {self._first + i: levels[half] for i, half in enumerate(halves)}
+        self._transfers = {}
+        for level in range(self._first + 1, self._first + len(halves)):
+            if powers is not None and self._transfers:  # that between any two is the same
+                self._transfers[level] = self._transfers[level - 1]
+            else:
+                self._transfers[level] = make_transfer(self._levels[level], self._levels[level - 1])
 
     def _boxes_with_targets(self, tree: Octree, level: int) -> np.ndarray:
         boxes = np.arange(tree.first[level], tree.first[level + 1])
