@@ -15,6 +15,7 @@ import math
 import sys
 import tempfile
 import time
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from test_tolerance import SETS
 
 import treecode as tc
 from treecode import auto
+from treecode.backends.walk import PRECISIONS
 from treecode.fmm import multipole, store
 
 KERNELS = {
@@ -36,22 +38,28 @@ KERNELS = {
     "Stokeslet": tc.Stokeslet(),
     "StokesletStresslet": tc.StokesletStresslet(),
 }
-SIZES = 4000, 24_000
+SIZES = 4000, 16_000
 DEGREES = {"kitc": (2, 4, 6, 8), "taylor": (2, 5, 8, 12)}
-TOLERANCES = [10.0**-k for k in (1, 2, 3, 4, 5, 6, 8)]
-ENOUGH = 0.5  # seconds of laps
-LONGEST = 20.0  # seconds to build operators, after which smaller tolerances are left out
+TOLERANCES = [10.0**-k for k in (1, 2, 3, 4, 5, 6, 7, 8)]
+ENOUGH = 0.3  # seconds of laps
+LONGEST = 10.0  # seconds to build operators, after which smaller tolerances are left out
 
 
-def fit(work: list[Any], seconds: list[float]) -> list[float]:
+Runs = dict[str, list[tuple[list[float], float]]]  # work and seconds, for each precision
+
+
+def fit(runs: Runs) -> dict[str, list[float]]:
     """Return non-negative rates by least squares of relative deviations."""
-    matrix = np.array(work, float) / np.array(seconds)[:, None]
-    scale = np.abs(matrix).max(axis=0)
-    rates, _ = nnls(matrix / np.where(scale > 0.0, scale, 1.0), np.ones(len(seconds)))
-    rates /= np.where(scale > 0.0, scale, 1.0)
-    off = np.abs(matrix @ rates - 1.0)
-    print(f"    {len(seconds)} runs, deviations {np.median(off):.0%}, at most {off.max():.0%}")
-    return [float(f"{rate:.3g}") for rate in rates]
+    fitted = {}
+    for precision, done in runs.items():
+        matrix = np.array([work for work, _ in done]) / np.array([[s] for _, s in done])
+        scale = np.abs(matrix).max(axis=0)
+        scale[scale == 0.0] = 1.0
+        rates = nnls(matrix / scale, np.ones(len(done)))[0] / scale
+        off = np.abs(matrix @ rates - 1.0)
+        print(f"    {len(done)} runs, deviations {np.median(off):.0%}, at most {off.max():.0%}")
+        fitted[precision] = [float(f"{rate:.3g}") for rate in rates]
+    return fitted
 
 
 def line(x: list[float], y: list[float]) -> list[float]:
@@ -66,11 +74,11 @@ class Case:
     def __init__(self, kernel: tc.Kernel, name: str, n: int) -> None:
         self.kernel, self.points = kernel, SETS[name](n, np.random.default_rng(0))
         self.strengths = np.random.default_rng(1).standard_normal((n, kernel.strength_size))
-        self.exact, self.direct_seconds, _ = self.run("direct")
+        self.exact = tc.evaluate(kernel, self.points, self.strengths, backend="direct")
         self.probe = self.run("kitc", **auto.PROBE)[0]
 
-    def run(self, backend: str, **options: Any) -> tuple[Any, float, tc.Plan]:
-        """Return the error (of "direct" the values), seconds and the plan."""
+    def run(self, backend: str, **options: Any) -> tuple[float, float, tc.Plan]:
+        """Return error, seconds and the plan."""
         plan = tc.Plan(self.kernel, backend, **options).set_points(self.points)
         values = plan.execute(self.strengths)
         laps: list[float] = []
@@ -78,62 +86,59 @@ class Case:
             start = time.process_time()
             plan.set_points(self.points).execute(self.strengths)
             laps.append(time.process_time() - start)
-        if backend == "direct":
-            return values, min(laps), plan
         return tc.relative_error(values, self.exact), min(laps), plan
 
 
 def treecodes(cases: list[Case], backend: str) -> dict[str, Any]:
     """Return the model of a treecode."""
-    work, seconds, offsets, slopes = [], [], [], []
+    work: Runs = {precision: [] for precision in PRECISIONS}
+    offsets, slopes = [], []
     for theta in auto.THETAS:
         degrees, digits = [], []
-        for case in cases:
-            for i, degree in enumerate(DEGREES[backend]):
-                leaf_size = auto.LEAF_SIZES[i % 3]
-                error, time_taken, plan = case.run(
-                    backend, theta=theta, degree=degree, leaf_size=leaf_size
-                )
-                info, n = plan.info(), len(case.points)
-                terms = int(auto.count_terms(backend, np.array(degree)))
+        for case, (i, degree) in product(cases, enumerate(DEGREES[backend])):
+            terms, n = int(auto.count_terms(backend, np.array(degree))), len(case.points)
+            options = {"theta": theta, "degree": degree, "leaf_size": auto.LEAF_SIZES[i % 3]}
+            for precision in PRECISIONS:
+                error, seconds, plan = case.run(backend, precision=precision, **options)
+                info = plan.info()
                 far = info["far_pairs"]
-                work.append([info["near_pairs"], far, far / terms, n * terms, 2 * n])
-                seconds.append(time_taken)
-                if far and error > 1e-12:
+                done = [info["near_pairs"], far, far / terms, n * terms, 2 * n]
+                work[precision].append((done, seconds))
+                if precision == "float64" and far and error > 1e-12:
                     degrees.append(degree)
                     digits.append(math.log10(error / case.probe))
         offset, slope = line(degrees, digits)
         offsets.append(offset)
         slopes.append(slope)
-    return {"seconds": fit(work, seconds), "offset": offsets, "slope": slopes}
+    return {"seconds": fit(work), "offset": offsets, "slope": slopes}
 
 
 def fast_multipole(cases: list[Case]) -> dict[str, Any]:
     """Return the model of the fast multipole method."""
-    work, seconds, asked, digits, tolerances, builds = [], [], [], [], [], []
+    work: Runs = {precision: [] for precision in PRECISIONS}
+    asked, digits, tolerances, builds = [], [], [], []
     for tol in TOLERANCES:
         for case in cases.copy():
             start = time.process_time()
             tc.Plan(case.kernel, "fmm", tol=tol).set_points(case.points)
             build = time.process_time() - start
-            error, time_taken, plan = case.run("fmm", tol=tol)
+            error, seconds, plan = case.run("fmm", tol=tol)
             print(f"    fmm {tol:g}: built in {build:.1f} s", flush=True)
             if build > LONGEST:
                 cases.remove(case)
             if not plan.info()["far_pairs"]:
                 continue
-            price = multipole.Multipole(case.kernel, tol).price(
-                np.ascontiguousarray(case.points.T), None
-            )
-            work.append(auto.multipole_work(tol, price, 2 * len(case.points)))
-            seconds.append(time_taken)
+            points = np.ascontiguousarray(case.points.T)
+            done = multipole.Multipole(case.kernel, tol).work(points, None)
+            precision = "float32" if tol >= multipole.SINGLE else "float64"
+            work[precision].append((done, seconds))
             asked.append(math.log10(tol))
             digits.append(math.log10(error / case.probe))
             if build > 0.1:
                 tolerances.append(math.log10(tol))
                 builds.append(math.log10(build))
     return {
-        "seconds": fit(work, seconds),
+        "seconds": fit(work),
         "error": line(asked, digits),
         "build": line(tolerances, builds),
     }
@@ -143,13 +148,16 @@ def model(kernel: tc.Kernel) -> dict[str, Any]:
     """Return the model of one kernel."""
     print(type(kernel).__name__, flush=True)
     cases = [Case(kernel, name, n) for name in ("cube", "clustered") for n in SIZES]
-    pairs = [[len(case.points) ** 2] for case in cases]
+    direct: Runs = {precision: [] for precision in PRECISIONS}
+    for precision, case in product(PRECISIONS, cases):
+        seconds = case.run("direct", precision=precision)[1]
+        direct[precision].append(([len(case.points) ** 2], seconds))
     return {
         "size": kernel.weight_size * kernel.value_size,
         "probe": float(f"{cases[1].probe:.2g}"),
-        "direct": {"seconds": fit(pairs, [case.direct_seconds for case in cases])},
+        "direct": {"seconds": fit(direct)},
         **{backend: treecodes(cases[1::2], backend) for backend in DEGREES},
-        "fmm": fast_multipole(cases[1::2]),
+        "fmm": fast_multipole(cases),
     }
 
 

@@ -49,7 +49,10 @@ def ratio(printed: float | None, ours: float) -> str:
 def options(row: Row) -> str:
     """Return the parameters of a backend."""
     names = {"theta": "theta", "degree": "p" if row["backend"] == "taylor" else "n", "tol": "tol"}
-    return ", ".join(f"{short} {row[name]:g}" for name, short in names.items() if name in row)
+    parts = [f"{short} {row[name]:g}" for name, short in names.items() if name in row]
+    if "tol" not in row and row.get("precision") == "float32":  # else the tolerance decides
+        parts.append("float32")
+    return ", ".join(parts)
 
 
 def case(row: Row) -> list[str]:

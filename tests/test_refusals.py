@@ -43,6 +43,10 @@ CALLS = [
         for value in (0, -1, 2.5, 100.0, True, "3", np.inf, 2**70)
     ],
     *[
+        ("precision", value, ["'float64', 'float32'", repr(value)])
+        for value in ("single", "", 32, np.float32, ["float32"])
+    ],
+    *[
         ("kernel", value, ["must", repr(value)])
         for value in (tc.RegularizedStokeslet, tc.Stokeslet, None, "Stokeslet", 3, (), (0.1, 1.0))
     ],

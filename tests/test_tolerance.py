@@ -344,6 +344,9 @@ def test_tolerance_beyond_doubles(tol):
         ({"theta": 0.5}, "theta"),
         ({"degree": 3}, "degree"),
         ({"leaf_size": 100}, "leaf_size"),
+        ({"precision": "float32"}, "precision"),
+        ({"backend": "fmm", "precision": "float32"}, "precision"),
+        ({"backend": "taylor", "precision": "float64", "tol": 1e-3}, "precision"),
         ({"backend": "kitc", "degree": 3, "tol": 1e-3}, "degree"),
     ],
 )

@@ -181,17 +181,18 @@ ticks: Any = time.perf_counter_ns if INTERPRETED else _compiled_ticks
 
 
 @intrinsic
-def _stack_array(typing_context, rows, columns):
-    array_type = types.Array(types.float64, 2, "C")
+def _stack_array(typing_context, like, rows, columns):
+    array_type = types.Array(like.dtype, 2, "C")
 
     def codegen(context, builder, signature, arguments):
         rows, columns = (
             context.cast(builder, value, given, types.intp)
-            for value, given in zip(arguments, signature.args, strict=True)
+            for value, given in zip(arguments[1:], signature.args[1:], strict=True)
         )
-        data = builder.alloca(ir.DoubleType(), size=builder.mul(rows, columns))
+        number = context.get_data_type(like.dtype)
+        data = builder.alloca(number, size=builder.mul(rows, columns))
         data.align = 64
-        itemsize = context.get_constant(types.intp, 8)
+        itemsize = context.get_constant(types.intp, like.dtype.bitwidth // 8)
         array = context.make_array(array_type)(context, builder)
         arrayobj.populate_array(
             array,
@@ -203,15 +204,16 @@ def _stack_array(typing_context, rows, columns):
         )
         return array._getvalue()
 
-    return array_type(rows, columns), codegen
+    return array_type(like, rows, columns), codegen
 
 
-def _heap_array(rows: int, columns: int) -> np.ndarray:
+def _heap_array(like: np.ndarray, rows: int, columns: int) -> np.ndarray:
     """Stand in for `stack_array` where nothing is compiled."""
-    return np.empty((rows, columns))
+    return np.empty((rows, columns), like.dtype)
 
 
-# An uninitialised (rows, columns) float64 array that lives until the calling function, which must
-# be `standalone`, returns. LLVM knows that no two of these overlap, so that loops over them need
-# no overlap checks at run time; for arrays of 16 columns those cost as much as the loops.
+# An uninitialised (rows, columns) array of the numbers in `like` that lives until the calling
+# function, which must be `standalone`, returns. LLVM knows that no two of these overlap, so that
+# loops over them need no overlap checks at run time; for arrays of 16 columns those cost as much
+# as the loops.
 stack_array = _heap_array if INTERPRETED else _stack_array

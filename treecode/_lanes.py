@@ -15,6 +15,7 @@ import math
 import operator
 from typing import Any
 
+import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
@@ -68,7 +69,14 @@ def _spread(builder: Any, value: Any, vector: Any) -> Any:
     if value.type == vector:
         return value
     if value.type != vector.element:
-        value = builder.fptrunc(value, vector.element)
+        # What is positive stays so: the square of a distance is compared with the smallest double.
+        smallest = ir.Constant(vector.element, float(np.finfo(np.float32).tiny))
+        single = builder.fptrunc(value, vector.element)
+        vanishes = builder.and_(
+            builder.fcmp_ordered(">", value, ir.Constant(value.type, 0.0)),
+            builder.fcmp_ordered("<", single, smallest),
+        )
+        value = builder.select(vanishes, smallest, single)
     undefined = ir.Constant(vector, ir.Undefined)
     first = builder.insert_element(undefined, value, ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), vector.count), None)

@@ -4,7 +4,8 @@
 ``benchmarks/fit_costs.py``. At the first sum over some points
 
 * a treecode of low degree beside direct sums at a few targets tells how errors for these points
-  and strengths compare with those of the model, and pairs are counted on the way of these targets;
+  and strengths compare with those of the model, single precision what its rounding does to them,
+  and pairs are counted on the way of these targets;
 * the cheapest sum that should reach the tolerance is done;
 * its error is sampled, and if it is too large a more accurate one is done instead.
 
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
@@ -25,7 +27,7 @@ from typing import Any, NamedTuple, NoReturn
 import numpy as np
 
 from treecode.backends import direct, kitc, taylor
-from treecode.backends.walk import Walk
+from treecode.backends.walk import PRECISIONS, Walk
 from treecode.fmm.multipole import SINGLE, Multipole
 from treecode.kernels.base import Kernel
 from treecode.traversal import acceptance
@@ -42,7 +44,7 @@ PROBE: dict[str, Any] = {"theta": 0.7, "degree": 3, "leaf_size": 500}
 _PILOTS = 64  # targets at which errors are looked at before a sum
 _SAMPLES = 400  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
-_MARGIN = 1.5  # by which errors may be larger than expected
+_MARGIN = 1.25  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm"
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
@@ -62,15 +64,17 @@ class Choice(NamedTuple):
     theta: float | None = None
     degree: int | None = None
     leaf_size: int | None = None
+    precision: str | None = None
     tol: float | None = None
     width: float | None = None
 
     def __str__(self) -> str:
         if self.backend == "fmm":
             return f"fmm({self.tol:.2g})"
+        bits = " float32" if self.precision == "float32" else ""
         if self.backend in DEGREES:
-            return f"{self.backend}({self.theta:g}/{self.degree})"
-        return self.backend
+            return f"{self.backend}({self.theta:g}/{self.degree}{bits})"
+        return self.backend + bits
 
     def sum(self, kernel: Kernel, progress: bool = False) -> Walk | Multipole:
         """Return the sum, without points yet."""
@@ -84,8 +88,12 @@ class Choice(NamedTuple):
             self.theta or 0.5,
             self.degree or 0,
             self.leaf_size or 1,
+            self.precision or "float64",
             progress,
         )
+
+
+EXACT = Choice("direct", precision="float64")
 
 
 class Error(NamedTuple):
@@ -166,7 +174,7 @@ def _units(kernel: Kernel) -> np.ndarray:
 
 
 def _direct(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Walk | Multipole:
-    done = Choice("direct").sum(kernel)
+    done = EXACT.sum(kernel)
     done.set_points(sources.copy(), targets)
     return done
 
@@ -223,15 +231,16 @@ class Search:
             except ValueError:
                 if choice.backend != "fmm" or "direct" not in self.backends:
                     raise
-                case.misses["fmm"] = math.inf  # it refuses kernels that are not isotropic
+                case.misses["fmm", None] = math.inf  # it refuses kernels that are not isotropic
                 continue
             values = done.execute(strengths)
-            if choice.backend == "direct":
+            if choice == EXACT:
                 return choice, done, values
             bound = self.bound(done, strengths, values)
             if bound <= self.tolerance:
                 return choice, done, values
-            case.misses[choice.backend] *= bound / best.error if bound < 1.0 else math.inf
+            kind = choice.backend, choice.precision
+            case.misses[kind] *= bound / best.error if bound < 1.0 else math.inf
 
     def bound(self, done: Walk | Multipole, strengths: np.ndarray, values: np.ndarray) -> float:
         """Return what the error of a sum that gave `values` hardly exceeds."""
@@ -252,7 +261,7 @@ class _Case:
     Attributes
     ----------
     misses : dict
-        For each backend, how much larger than expected its error was.
+        For each backend and precision, how much larger than expected its error was.
     """
 
     def __init__(
@@ -260,13 +269,17 @@ class _Case:
     ) -> None:
         self._search, self._model = search, model(search.kernel)
         self._sources, self._targets = sources, targets
-        self.misses = dict.fromkeys(search.backends, 1.0)
+        self.misses: dict[tuple[str, str | None], float] = defaultdict(lambda: 1.0)
         drawn = np.random.default_rng(0).permutation(targets.shape[1])[:_PILOTS]
         self._pilots = targets[:, drawn]
         exact = self._require_digits(strengths)
-        few = sources.shape[1] * targets.shape[1] <= FEW
-        self._backends = ("direct",) if few and "direct" in search.backends else search.backends
-        self._scale = 1.0 if self._backends == ("direct",) else self._probe(strengths, exact)
+        self._few = sources.shape[1] * targets.shape[1] <= FEW and "direct" in search.backends
+        if not self._few:
+            probe = self._error_of(Choice("kitc", **PROBE), strengths, exact)
+            self._scale = _MARGIN * (probe or self._model.usual_error)
+            single = Choice("direct", precision="float32")
+            rounding = _MARGIN * self._error_of(single, strengths, exact)
+            self._rounding = {"float64": 0.0, "float32": rounding}
 
     def _require_digits(self, strengths: np.ndarray) -> np.ndarray:
         """Return direct sums at the pilots; refuse a tolerance beyond their rounding.
@@ -287,21 +300,25 @@ class _Case:
             self._refuse(_ROUNDING * loss, why)
         return exact
 
-    def _probe(self, strengths: np.ndarray, exact: np.ndarray) -> float:
-        """Return the error of a treecode of low degree, the unit of those of the model."""
-        probe = Choice("kitc", **PROBE).sum(self._search.kernel)
-        probe.set_points(self._sources.copy(), self._pilots.copy())
+    def _error_of(self, choice: Choice, strengths: np.ndarray, exact: np.ndarray) -> float:
+        """Return the error of a sum at the pilots."""
+        done = choice.sum(self._search.kernel)
+        done.set_points(self._sources.copy(), self._pilots.copy())
+        values = done.execute(strengths)
+        if not np.isfinite(values).all():  # beyond the range of singles
+            return math.inf
         units = _units(self._search.kernel)
-        squares = ((probe.execute(strengths) - exact) ** 2 @ units).sum(axis=0)
-        error = _ratio(squares, (exact**2 @ units).sum(axis=0)).max()
-        return _MARGIN * float(error or self._model.usual_error)
+        squares = ((values - exact) ** 2 @ units).sum(axis=0)
+        return float(_ratio(squares, (exact**2 @ units).sum(axis=0)).max())
 
     def cheapest(self) -> _Candidate:
         """Return the cheapest of what should reach the tolerance."""
-        offers = [offer for backend in self._backends for offer in self._offers(backend)]
+        if self._few:
+            return _Candidate(EXACT, 0.0, 0.0)
+        offers = [offer for backend in self._search.backends for offer in self._offers(backend)]
         good = [offer for offer in offers if offer.error <= self._search.tolerance]
         if not good:
-            by = " or ".join(map(repr, self._backends))
+            by = " or ".join(map(repr, self._search.backends))
             self._refuse(min(offer.error for offer in offers), f"by {by}")
         return min(good, key=lambda offer: offer.seconds)
 
@@ -312,11 +329,14 @@ class _Case:
         )
 
     def _offers(self, backend: str) -> Iterator[_Candidate]:
-        if backend == "direct":
-            pairs = self._sources.shape[1] * self._targets.shape[1]
-            yield _Candidate(Choice("direct"), self._model.seconds("direct", pairs), 0.0)
-        elif backend == "fmm":
+        if backend == "fmm":
             yield self._multipole()
+        elif backend == "direct":
+            pairs = self._sources.shape[1] * self._targets.shape[1]
+            for precision in PRECISIONS:
+                seconds = self._model.seconds("direct", precision, [pairs])
+                error = self.misses["direct", precision] * self._rounding[precision]
+                yield _Candidate(Choice("direct", precision=precision), seconds, error)
         else:
             yield from self._treecodes(backend)
 
@@ -331,33 +351,35 @@ class _Case:
         degrees = np.array(DEGREES[backend])
         terms = count_terms(backend, degrees)
         for theta in THETAS if search.theta is None else (search.theta,):
-            error = self._scale * self._model.error(backend, theta, degrees)
-            error *= self.misses[backend]
+            cut_off = self._scale * self._model.error(backend, theta, degrees)
             met = meet(tree, self._pilots, theta)
             for leaf_size in leaf_sizes:
                 near, accepted = count_pairs(met, leaf_size / every, terms / every)
-                seconds = self._model.seconds(
-                    backend,
+                work = [
                     more * every * near,
                     more * accepted * terms,
                     more * accepted,
                     self._sources.shape[1] * terms,
                     self._sources.shape[1] + self._targets.shape[1],
-                )
-                for row in zip(degrees.tolist(), seconds, error, strict=True):
-                    yield _Candidate(Choice(backend, theta, row[0], leaf_size), *row[1:])
+                ]
+                for precision in PRECISIONS:
+                    seconds = self._model.seconds(backend, precision, work)
+                    error = self.misses[backend, precision] * (cut_off + self._rounding[precision])
+                    for row in zip(degrees.tolist(), seconds, error, strict=True):
+                        choice = Choice(backend, theta, row[0], leaf_size, precision)
+                        yield _Candidate(choice, *row[1:])
 
     def _multipole(self) -> _Candidate:
         """Return the fast multipole method at the largest tolerance that should do."""
         for tol in TOLERANCES:
-            error = self._scale * self.misses["fmm"] * self._model.multipole_error(tol)
+            error = self._scale * self.misses["fmm", None] * self._model.multipole_error(tol)
             if error <= self._search.tolerance:
                 multipole = Multipole(self._search.kernel, tol)
-                price = multipole.price(
+                work = multipole.work(
                     self._sources, None if self._targets is self._sources else self._targets
                 )
-                count = self._sources.shape[1] + self._targets.shape[1]
-                seconds = self._model.multipole_seconds(tol, price, count)
+                precision = "float32" if tol >= SINGLE else "float64"
+                seconds = self._model.seconds("fmm", precision, work)
                 seconds += self._model.building_seconds(tol) / self._search.sums
                 choice = Choice("fmm", tol=tol, width=multipole.width)
                 return _Candidate(choice, seconds, error)
@@ -433,13 +455,13 @@ class Model:
         self._fitted = fitted
         self.usual_error = fitted["probe"]
 
-    def seconds(self, backend: str, *work: Any) -> Any:
+    def seconds(self, backend: str, precision: str, work: list[Any]) -> Any:
         """Return how long `work` takes.
 
-        Pairs near, of which direct sums have no others; pairs far, expansions evaluated, sources
-        times terms, and points.
+        Pairs near, of which direct sums have no others; of a treecode pairs far, expansions
+        evaluated, sources times terms, and points; of "fmm" see `Multipole.work`.
         """
-        rates = self._fitted[backend]["seconds"]
+        rates = self._fitted[backend]["seconds"][precision]
         return sum(rate * amount for rate, amount in zip(rates, work, strict=True))
 
     def error(self, backend: str, theta: float, degree: Any) -> Any:
@@ -447,10 +469,6 @@ class Model:
         fitted = self._fitted[backend]
         offset, slope = (np.interp(theta, THETAS, fitted[name]) for name in ("offset", "slope"))
         return 10.0 ** (offset + slope * degree)
-
-    def multipole_seconds(self, tol: float, price: float, points: int) -> float:
-        """Return how long a sum by "fmm" takes that is worth `price` near pairs."""
-        return float(np.dot(self._fitted["fmm"]["seconds"], multipole_work(tol, price, points)))
 
     def building_seconds(self, tol: float) -> float:
         """Return how long the operators of "fmm" take to build."""
@@ -461,12 +479,6 @@ class Model:
         """Return the error of "fmm"."""
         offset, slope = self._fitted["fmm"]["error"]
         return float(10.0 ** (offset + slope * math.log10(tol)))
-
-
-def multipole_work(tol: float, price: float, points: int) -> list[float]:
-    """Return what the seconds of "fmm" are made of: pairs in single and in double, and points."""
-    single = tol >= SINGLE
-    return [price * single, price * (not single), points, -points * math.log10(tol) ** 3]
 
 
 @cache

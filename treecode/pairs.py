@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numba import types
 from numpy import uintp
 
-from treecode._jit import stack_array, standalone, wide_vectors
+from treecode._jit import inlined, overloaded, stack_array, standalone, wide_vectors
 from treecode._lanes import LANES, lane_count, lane_sum, load, store
 from treecode.kernels.base import pair, weight_column, weight_lanes, zero
 
@@ -17,19 +19,21 @@ BLOCK = 1024
 def accumulate(kernel, targets, first, last, sources, weights, begin, end, out):
     """Add to the targets ``first:last`` of `out` what the sources ``begin:end`` do to them.
 
+    `targets`, `sources` and `weights` have one precision, that of the arithmetic.
+
     Parameters
     ----------
     kernel : Kernel
-    targets, sources : (3, M) and (3, N) float64
+    targets, sources : (3, M) and (3, N) float32 or float64
         Structures of arrays. Up to `LANES` - 1 columns of `targets` behind `last` are read, so that
         many must be there; what they hold does not matter.
     first, last, begin, end : int
         Ranges of targets and sources.
-    weights : (weight_size, N) float64
+    weights : (weight_size, N) float32 or float64
     out : (value_size, M) float64
     """
     wide_vectors()
-    sums = stack_array(out.shape[0], LANES)
+    sums = stack_array(targets, out.shape[0], LANES)
     for low in range(begin, end, BLOCK):
         high = min(low + BLOCK, end)
         for i in range(first, last, LANES):
@@ -42,6 +46,51 @@ def accumulate(kernel, targets, first, last, sources, weights, begin, end, out):
                 store(sums, c, 0, acc[c])
                 for t in range(min(LANES, last - i)):
                     out[c, i + t] += sums[c, t]
+
+
+def accumulate_near(like, center, kernel, targets, first, last, sources, weights, begin, end, out):
+    """As `accumulate`, for doubles, in the precision of `like`.
+
+    For singles coordinates are relative to `center`, (3,): the nearer it is, the more of a distance
+    is kept. Doubles stay where they are: copied as well, treecodes took 1.03 to 1.09 times as long.
+    """
+    single = like.dtype == np.float32
+    function = _in_singles if single else _in_doubles
+    function(like, center, kernel, targets, first, last, sources, weights, begin, end, out)
+
+
+@overloaded(accumulate_near)
+def _(like, center, kernel, targets, first, last, sources, weights, begin, end, out):
+    function = _in_singles if like.dtype is types.float32 else _in_doubles
+
+    def call(like, center, kernel, targets, first, last, sources, weights, begin, end, out):
+        function(like, center, kernel, targets, first, last, sources, weights, begin, end, out)
+
+    return call
+
+
+@inlined
+def _in_doubles(like, center, kernel, targets, first, last, sources, weights, begin, end, out):
+    accumulate(kernel, targets, first, last, sources, weights, begin, end, out)
+
+
+@standalone
+def _in_singles(like, center, kernel, targets, first, last, sources, weights, begin, end, out):
+    near = stack_array(like, 3, BLOCK)
+    near_weights = stack_array(like, weights.shape[0], BLOCK)
+    block = np.zeros((3, last - first + LANES - 1), like.dtype)
+    for d in range(3):
+        for i in range(last - first):
+            block[d, i] = targets[d, first + i] - center[d]
+    for low in range(begin, end, BLOCK):
+        count = min(BLOCK, end - low)
+        for d in range(3):
+            for j in range(count):
+                near[d, j] = sources[d, low + j] - center[d]
+        for c in range(weights.shape[0]):
+            for j in range(count):
+                near_weights[c, j] = weights[c, low + j]
+        accumulate(kernel, block, 0, last - first, near, near_weights, 0, count, out[:, first:last])
 
 
 @standalone

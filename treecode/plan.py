@@ -8,7 +8,7 @@ import numba
 import numpy as np
 
 from treecode import auto, check
-from treecode.backends.walk import Walk
+from treecode.backends.walk import PRECISIONS, Walk
 from treecode.fmm import multipole
 from treecode.fmm.operators import MAX_DEGREE
 from treecode.kernels.base import MEMBERS, Kernel
@@ -41,6 +41,11 @@ class Plan:
     leaf_size : int, optional
         Most points in a leaf of the tree, N0 in the papers: 2000 by default, or what suits `tol`;
         for "fmm" what balances its two halves.
+    precision : {"float64", "float32"}, optional
+        Of the arithmetic with points and proxies for "direct", "kitc" and "taylor" (not of its
+        expansions): float64 by default, or what suits `tol`. float32 is up to twice as fast;
+        distances are rounded to 1e-7 of the cluster they are in, and third powers of inverse
+        lengths, times strengths, must be within 1e38.
     tol : float, optional
         Relative error, K eq. (8.1), of the sum, and of velocities and angular velocities each;
         1e-5 by default for "auto" and "fmm". Between 1e-13 and 1. "fmm" by name aims at it; else
@@ -58,7 +63,7 @@ class Plan:
     -----
     The sums use as many threads as ``numba.get_num_threads()``, and do not depend on how many.
     "direct" takes none of `theta`, `degree`, `leaf_size` and `tol` into account, and "auto" chooses
-    the first three itself.
+    all but the last itself.
 
     Examples
     --------
@@ -76,6 +81,7 @@ class Plan:
         theta: float | None = None,
         degree: int | None = None,
         leaf_size: int | None = None,
+        precision: str | None = None,
         tol: float | None = None,
         progress: bool = False,
     ) -> None:
@@ -88,6 +94,8 @@ class Plan:
             degree = check.integer("degree", degree, *_DEGREES.get(backend, _DEGREES["kitc"]))
         if leaf_size is not None:
             leaf_size = check.integer("leaf_size", leaf_size, 1)
+        if precision is not None:
+            check.one_of("precision", precision, PRECISIONS)
         if tol is not None:
             tol = check.number("tol", tol, 1e-13, 1.0)
         self._progress = progress
@@ -96,17 +104,21 @@ class Plan:
         self._choice: auto.Choice | None = None
         self._counts: tuple[int, int] | None = None
         if backend == "auto":
-            for name, value in (("theta", theta), ("degree", degree), ("leaf_size", leaf_size)):
+            chosen = {"theta": theta, "degree": degree, "leaf_size": leaf_size}
+            for name, value in (chosen | {"precision": precision}).items():
                 check.absent(name, value, "with backend 'auto', which chooses it")
             backends = auto.able(kernel)
             self._search = auto.Search(kernel, backends, _or(tol, _TOLERANCE), progress=progress)
         elif backend in auto.DEGREES and tol is not None:
-            check.absent("degree", degree, "with tol, which chooses it")
+            for name, value in (("degree", degree), ("precision", precision)):
+                check.absent(name, value, "with tol, which chooses it")
             self._search = auto.Search(kernel, (backend,), tol, theta, leaf_size, progress)
         elif backend == "fmm":
-            self.use(auto.Choice("fmm", None, degree, leaf_size, _or(tol, _TOLERANCE)))
+            check.absent("precision", precision, "with backend 'fmm', where tol decides")
+            self.use(auto.Choice("fmm", None, degree, leaf_size, tol=_or(tol, _TOLERANCE)))
         else:
-            self.use(auto.Choice(backend, _or(theta, 0.7), _or(degree, 7), _or(leaf_size, 2000)))
+            options = _or(theta, 0.7), _or(degree, 7), _or(leaf_size, 2000)
+            self.use(auto.Choice(backend, *options, precision or "float64"))
 
     @property
     def choice(self) -> auto.Choice | None:
@@ -295,7 +307,7 @@ def evaluate(
     targets : (M, 3) array_like, optional
         The sources by default.
     **options
-        `backend`, `theta`, `degree`, `leaf_size`, `tol`, `progress`.
+        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`.
 
     Returns
     -------

@@ -10,7 +10,7 @@ from numba import prange
 from treecode._jit import Driver, inlined, method_hook, standalone, ticks
 from treecode._lanes import LANES
 from treecode.kernels.base import SMALLEST, strength_row, weights
-from treecode.pairs import accumulate
+from treecode.pairs import accumulate_near
 from treecode.tree import Tree
 
 # Targets that go down the tree together: enough to share the set-up of a far field, few enough
@@ -86,9 +86,11 @@ def _separate(distance2, center, block, live, identity):
 
 
 @inlined
-def _sum_points(kernel, block, first, last, sources, weights, start, stop, out, notes):
+def _sum_points(kernel, tree, cluster, block, first, last, sources, weights, like, out, notes):
+    start, stop = tree.start[cluster], tree.stop[cluster]
     since = ticks()
-    accumulate(kernel, block, first, last, sources, weights, start, stop, out)
+    center = tree.center[:, cluster]
+    accumulate_near(like, center, kernel, block, first, last, sources, weights, start, stop, out)
     notes[NEAR_TICKS] += ticks() - since
     notes[NEAR_PAIRS] += (last - first) * (stop - start)
 
@@ -102,7 +104,9 @@ def _sum_terms(kernel, expansion, tree, cluster, block, first, last, out, notes)
 
 
 @standalone
-def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack, notes):
+def _walk(
+    kernel, expansion, tree, distance2, sources, weights, block, identity, stack, like, notes
+):
     """Sum over all sources for one batch.
 
     `block` holds the coordinates of the targets and, below them, their sums. The decision is
@@ -116,16 +120,19 @@ def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity,
     while height > 0:
         height -= 1
         cluster, live = stack[height, 0], stack[height, 1]
-        start, stop = tree.start[cluster], tree.stop[cluster]
         near = _separate(distance2[cluster], tree.center[:, cluster], block, live, identity)
         if near < live:
             if holds(expansion, cluster):
                 _sum_terms(kernel, expansion, tree, cluster, block, near, live, out, notes)
             else:
-                _sum_points(kernel, block, near, live, sources, weights, start, stop, out, notes)
+                _sum_points(
+                    kernel, tree, cluster, block, near, live, sources, weights, like, out, notes
+                )
         if near > 0:
             if tree.children[cluster] == 0:
-                _sum_points(kernel, block, 0, near, sources, weights, start, stop, out, notes)
+                _sum_points(
+                    kernel, tree, cluster, block, 0, near, sources, weights, like, out, notes
+                )
             for k in range(tree.children[cluster]):
                 stack[height, 0] = tree.child[cluster] + k
                 stack[height, 1] = near
@@ -134,7 +141,7 @@ def _walk(kernel, expansion, tree, distance2, sources, weights, block, identity,
 
 @standalone
 def _evaluate_batch(
-    kernel, expansion, tree, distance2, sources, weights, targets, order, batch, values, notes
+    kernel, expansion, tree, distance2, sources, weights, targets, order, batch, like, values, notes
 ):
     since = ticks()
     first = batch * BATCH_SIZE
@@ -146,7 +153,7 @@ def _evaluate_batch(
         for d in range(3):
             block[d, i] = targets[d, first + i]
     stack = np.empty((7 * (tree.level[-1] + 1) + 1, 2), np.int64)
-    _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack, notes)
+    _walk(kernel, expansion, tree, distance2, sources, weights, block, identity, stack, like, notes)
     for i in range(size):
         for c in range(values.shape[1]):
             values[identity[i], c] = block[3 + c, i]
@@ -155,8 +162,9 @@ def _evaluate_batch(
 
 @Driver
 def evaluate_batches(
-    kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, values, notes
-):
+    kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, like, values,
+    notes,
+):  # fmt: skip
     """Evaluate the batches ``begin:end`` of targets.
 
     A batch belongs to one thread, so the result does not depend on the number of threads.
@@ -176,6 +184,8 @@ def evaluate_batches(
     order : (M,) int64
         Row of `values` for each target.
     begin, end : int
+    like : (0,) float32 or float64
+        Of the precision in which points are summed.
     values : (M, value_size) float64
         Overwritten.
     notes : (number of batches, NOTES) int64
@@ -192,6 +202,7 @@ def evaluate_batches(
             targets,
             order,
             batch,
+            like,
             values,
             notes[batch],
         )

@@ -20,6 +20,8 @@ from benchmarks.rows import Row
 measure = sums.one_sum
 
 THETAS = (0.5, 0.6, 0.7, 0.8, 0.2)  # that are drawn, here and for T
+SINGLE = {"precision": "float32"}
+SINGLE_THETA = 0.7  # of the sums that are done in singles as well
 
 FINE: dict[str, Any] = {
     "kitc": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
@@ -50,6 +52,8 @@ def cases(quick: bool) -> Iterator[Row]:
             for theta in thetas:
                 for degree in degrees:
                     yield common | treecode(backend, theta, degree)
+            for degree in degrees:
+                yield common | treecode(backend, SINGLE_THETA, degree) | SINGLE
         yield from (common | {"backend": "fmm", "tol": tol} for tol in grid["fmm"])
         yield from (common | {"backend": "fmm3d", "tol": tol} for tol in grid["fmm3d"])
 
@@ -126,9 +130,12 @@ def draw(axes: Any, rows: list[Row]) -> None:
             axes.axhline(row["seconds"], color="k", linestyle=dashes, linewidth=1, label=label)
     for backend in ("kitc", "taylor"):
         for style, theta in enumerate(THETAS):
-            line = [row for row in rows if (row["backend"], row.get("theta")) == (backend, theta)]
-            label = f"{backend}, theta {theta:g}"
-            plots.line(axes, line, "error", "seconds", backend, label, style)
+            same = [row for row in rows if (row["backend"], row.get("theta")) == (backend, theta)]
+            for precision, note in (("float64", ""), ("float32", ", float32")):
+                line = [row for row in same if row["precision"] == precision]
+                shade = len(THETAS) if note else style
+                label = f"{backend}, theta {theta:g}{note}"
+                plots.line(axes, line, "error", "seconds", backend, label, shade)
     for style, backend in enumerate(("fmm", "fmm3d")):
         line = [row for row in rows if row["backend"] == backend]
         plots.line(axes, line, "error", "seconds", backend, plots.name(backend), style)

@@ -39,6 +39,8 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": "direct"}
         for theta, orders in grid.items():
             yield from (common | curve.treecode("taylor", theta, order) for order in orders)
+        if points == "cube" and not quick:
+            yield common | curve.treecode("taylor", 0.5, 6) | curve.SINGLE
         if not quick:
             yield from (common | {"backend": "fmm", "tol": tol} for tol in TOLERANCES[points])
 

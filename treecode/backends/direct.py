@@ -36,7 +36,9 @@ def distance2(tree: Tree, theta: float) -> np.ndarray:
     return np.full(len(tree.radius), np.inf)
 
 
-def prepare(kernel: object, tree: Tree, degree: int, wanted: np.ndarray) -> NoExpansion:
+def prepare(
+    kernel: object, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+) -> NoExpansion:
     """Return the expansion that is never used."""
     return NoExpansion()
 

@@ -30,7 +30,8 @@ class Interpolation(NamedTuple):
     slot : (C,) int64
         Row of a cluster in `weights`; -1 for a cluster that no target is far from, and for one with
         no more points than proxies, which is summed directly: that is cheaper, and exact.
-    weights : (clusters with a slot, weight_size, (n + 1)^3) float64
+    weights : (clusters with a slot, weight_size, (n + 1)^3) float32 or float64
+        In the precision of the sums.
     """
 
     nodes: np.ndarray
@@ -43,12 +44,12 @@ class Interpolation(NamedTuple):
     def approximate(self, kernel, tree, cluster, targets, first, last, out):
         # Relative to the centre: far from the origin a proxy would be rounded to the spacing of
         # the coordinates there, which may be coarse for the size of the box.
-        relative = np.zeros((3, last - first + LANES - 1))
+        weights = self.weights[self.slot[cluster]]
+        relative = np.zeros((3, last - first + LANES - 1), weights.dtype)
         for d in range(3):
             for i in range(last - first):
                 relative[d, i] = targets[d, first + i] - tree.center[d, cluster]
-        proxies = _proxies(self.nodes, tree.half[:, cluster])
-        weights = self.weights[self.slot[cluster]]
+        proxies = _proxies(self.nodes, tree.half[:, cluster], weights)
         out = out[:, first:last]
         accumulate(kernel, relative, 0, last - first, proxies, weights, 0, proxies.shape[1], out)
 
@@ -73,14 +74,16 @@ def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
 distance2 = acceptance
 
 
-def prepare(kernel: Kernel, tree: Tree, degree: int, wanted: np.ndarray) -> Interpolation:
+def prepare(
+    kernel: Kernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+) -> Interpolation:
     """Allocate the modified weights of degree `degree` for the `wanted` clusters worth it."""
     worth = wanted & (tree.stop - tree.start > (degree + 1) ** 3)
     slot = np.where(worth, np.cumsum(worth) - 1, -1)
     # The sine gives points that are symmetric to the last bit.
     nodes = np.sin(np.pi * (degree - 2 * np.arange(degree + 1)) / (2 * degree))
     shape = (np.count_nonzero(worth), kernel.weight_size, (degree + 1) ** 3)
-    return Interpolation(nodes, slot, np.empty(shape))
+    return Interpolation(nodes, slot, np.empty(shape, dtype))
 
 
 def update(expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
@@ -90,10 +93,10 @@ def update(expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: n
 
 
 @inlined
-def _proxies(nodes, half):
+def _proxies(nodes, half, like):
     """Return the grid of Chebyshev points in a box around the origin, (3, (n + 1)^3)."""
     n = len(nodes)
-    grid = np.empty((3, n * n * n))
+    grid = np.empty((3, n * n * n), like.dtype)
     row = 0
     for k1 in range(n):
         for k2 in range(n):

@@ -212,8 +212,13 @@ def _tables(degree: int, derivatives: int) -> dict[str, Any]:
     }
 
 
-def prepare(kernel: TaylorKernel, tree: Tree, degree: int, wanted: np.ndarray) -> Expansion:
-    """Choose the unit, and make room for the moments of the `wanted` clusters worth it."""
+def prepare(
+    kernel: TaylorKernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+) -> Expansion:
+    """Choose the unit, and make room for the moments of the `wanted` clusters worth it.
+
+    They are doubles whatever `dtype` is: high derivatives leave the range of singles.
+    """
     tables = _tables(degree, kernel.derivatives)
     worth = wanted & (tree.stop - tree.start > tables["summed"])
     radius = tree.radius.max(initial=0.0)
@@ -243,12 +248,12 @@ def _evaluate(expansion, kernel, center, moments, targets, first, last, out):
     """Add the expansion about `center` at up to `COLUMNS` targets."""
     wide_vectors()
     eps2 = expansion.epsilon * expansion.epsilon
-    x = stack_array(3, COLUMNS)
-    psi = stack_array(expansion.outer, COLUMNS)
-    chi = stack_array(expansion.inner, COLUMNS)
-    sums = stack_array(out.shape[0], COLUMNS)
-    inverse2 = stack_array(1, COLUMNS)
-    row = stack_array(1, COLUMNS)
+    x = stack_array(moments, 3, COLUMNS)
+    psi = stack_array(moments, expansion.outer, COLUMNS)
+    chi = stack_array(moments, expansion.inner, COLUMNS)
+    sums = stack_array(moments, out.shape[0], COLUMNS)
+    inverse2 = stack_array(moments, 1, COLUMNS)
+    row = stack_array(moments, 1, COLUMNS)
     for t in range(COLUMNS):
         i = min(first + t, last - 1)
         for d in range(3):
@@ -297,9 +302,9 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
     """Add the particles ``start:stop`` to the moments of `cluster`."""
     wide_vectors()
     moments = expansion.moments[expansion.slot[cluster]]
-    x = stack_array(3, COLUMNS)
-    power = stack_array(expansion.summed, COLUMNS)
-    row = stack_array(1, COLUMNS)
+    x = stack_array(moments, 3, COLUMNS)
+    power = stack_array(moments, expansion.summed, COLUMNS)
+    row = stack_array(moments, 1, COLUMNS)
     for low in range(start, stop, COLUMNS):
         size = min(COLUMNS, stop - low)
         for d in range(3):

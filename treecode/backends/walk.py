@@ -28,6 +28,7 @@ from treecode.traversal import (
 )
 from treecode.tree import build_tree
 
+PRECISIONS = "float64", "float32"
 _SLAB_SECONDS = 0.5  # how long compiled code runs before Python may report, or be interrupted
 
 
@@ -41,10 +42,12 @@ class Walk:
         theta: float,
         degree: int,
         leaf_size: int,
+        precision: str,
         progress: bool,
     ) -> None:
         self.kernel, self._module, self._progress = kernel, module, progress
         self.theta, self.degree, self.leaf_size = theta, degree, leaf_size
+        self._dtype: Any = np.dtype(precision).type
         self._notes: np.ndarray | None = None
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
@@ -61,7 +64,9 @@ class Walk:
                 around, self.target_order = build_tree(targets, BATCH_SIZE, shrink=False)
             self._distance2 = self._module.distance2(self._tree, self.theta)
             wanted = accepted(self._tree, self._distance2, around)
-            self._expansion = self._module.prepare(self.kernel, self._tree, self.degree, wanted)
+            self._expansion = self._module.prepare(
+                self.kernel, self._tree, self.degree, wanted, self._dtype
+            )
             self._notes = None
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
@@ -87,6 +92,7 @@ class Walk:
                         self.target_order,
                         first,
                         last,
+                        np.empty(0, self._dtype),
                         values,
                         notes,
                     )
@@ -104,6 +110,7 @@ class Walk:
             "theta": self.theta,
             "degree": self.degree,
             "leaf_size": self.leaf_size,
+            "precision": self._dtype.__name__,
             "depth": self._tree.depth,
             "clusters": len(self._tree.radius),
             "near_pairs": noted[NEAR_PAIRS],

@@ -63,7 +63,7 @@ class Multipole:
         self.leaf_size = leaf_size or int(2.0 * math.sqrt(self._box_cost / 27.0))
         # Below this many points no cube is worth its translations.
         self._direct = 0 if leaf_size else int(_DIRECT * self.leaf_size)
-        self._price = math.inf
+        self._work = math.inf, math.inf
         self._served: tuple[int, list[float]] = 0, []
         self._levels: dict[int, Level] = {}
         self._transfers: dict[int, Transfer] = {}
@@ -98,13 +98,21 @@ class Multipole:
         with self.seconds.stage("operators"):
             self._get_operators(self._tree)
 
-    def price(self, sources: np.ndarray, targets: np.ndarray | None) -> float:
-        """Return what a sum over such points is worth in near pairs; no operators are needed."""
+    def work(self, sources: np.ndarray, targets: np.ndarray | None) -> list[float]:
+        """Return what the time of a sum over such points is made of; no operators are needed.
+
+        Near pairs, what cubes are worth in near pairs, points, and points times what an expansion
+        takes for each, in proportion to the third power of the digits.
+        """
         points = sources if targets is None else np.concatenate([sources, targets], axis=1)
         self._choose_width(points, None if targets is None else sources.shape[1])
+        pairs, cubes = self._work
         if points.shape[1] <= self._direct:
-            return float(sources.shape[1] * (sources if targets is None else targets).shape[1])
-        return self._price
+            m = sources.shape[1] if targets is None else targets.shape[1]
+            pairs, cubes = sources.shape[1] * m, 0.0
+        # Points that are sources and targets are expanded, and expansions evaluated there.
+        count = points.shape[1] * (2 if targets is None else 1)
+        return [pairs, cubes, count, -count * math.log10(self.tolerance) ** 3]
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
@@ -170,16 +178,17 @@ class Multipole:
         fewer = None if split is None else -(-split // every)
         leaf_size = max(1, self.leaf_size // every)
 
-        def cost(width: float) -> float:
+        def cost(width: float) -> tuple[float, float]:
             tree, _, _ = build_octree(sample.copy(), fewer, leaf_size, width)
             leaves = np.flatnonzero(tree.is_leaf)
             begin, entries = direct_lists(tree, leaves, len(sample.T), False)
             counts = np.append(np.diff(tree.source)[entries, 0], 0)
             near = np.add.reduceat(counts, begin[:-1]) * (np.diff(begin) > 0)
             pairs = float(near @ np.diff(tree.target)[leaves, 0]) * every**2
-            return pairs + self._box_cost * np.count_nonzero(tree.level >= _FIRST)
+            return pairs, self._box_cost * np.count_nonzero(tree.level >= _FIRST)
 
-        self._price, self.width = min((cost(width), width) for width in widths)
+        costs = [cost(width) for width in widths]
+        self._work, self.width = min(zip(costs, widths, strict=True), key=lambda item: sum(item[0]))
 
     def _find_neighbours(self, tree: Octree) -> None:
         """List what acts directly: leaves on leaves, and cubes on cubes of another size."""
