@@ -4,8 +4,8 @@
 
 Regularized Stokeslets with random forces, one thread. Processor time from points to values, the
 least of several laps in turns: of "direct" a sum at 2000 targets is scaled; of "kitc" and "taylor"
-the fastest of theta, degree and leaf size that reach the tolerance; of "fmm" the largest of its
-tolerances that does.
+the fastest of theta, degree and leaf size that reach the tolerance; of all three in single precision
+where that reaches it; of "fmm" the largest of its tolerances that does.
 Operators are built before. Rows are kept in --rows, so that the command goes on where it ended.
 """
 
@@ -16,6 +16,7 @@ import json
 import math
 import sys
 import time
+from itertools import product
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ import test_tolerance
 import treecode as tc
 from benchmarks.machine import machine_today, publish
 from treecode import auto
+from treecode.backends.walk import PRECISIONS
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
 COLUMNS = (
@@ -63,6 +65,13 @@ class Sum:
         """Return the relative error, as the drawn targets tell."""
         return test_tolerance.error_at(self.drawn, values, self.exact)
 
+    def direct(self, tol: float) -> tc.Plan:
+        """Return direct sums, in singles if these reach a tolerance."""
+        single = tc.Plan(KERNEL, "direct", precision="float32")
+        values = single.set_points(self.points, self.points[self.drawn]).execute(self.forces)
+        good = tc.relative_error(values, self.exact) <= tol
+        return single if good else tc.Plan(KERNEL, "direct")
+
     def treecode(self, backend: str, tol: float) -> tc.Plan | None:
         """Return the fastest that reaches a tolerance."""
         best, winner = math.inf, None
@@ -77,8 +86,11 @@ class Sum:
                     break
         if winner is None:
             return None
-        options = {"theta": winner.theta, "degree": winner.degree}
-        plans = [tc.Plan(KERNEL, backend, leaf_size=size, **options) for size in auto.LEAF_SIZES]
+        options: dict[str, Any] = {"theta": winner.theta, "degree": winner.degree}
+        plans = [
+            tc.Plan(KERNEL, backend, leaf_size=size, precision=precision, **options)
+            for size, precision in product(auto.LEAF_SIZES, PRECISIONS)
+        ]
         laps = [self.lap(plan) for plan in plans]
         good = [
             (seconds, plan)
@@ -116,7 +128,7 @@ def row(name: str, n: int, tol: float) -> dict[str, Any]:
     values, first = case.lap(chosen)
     *seconds, taken = case.in_turns(
         [
-            tc.Plan(KERNEL, "direct"),
+            case.direct(tol),
             case.treecode("kitc", tol),
             case.treecode("taylor", tol),
             case.multipole(tol),

@@ -13,6 +13,8 @@ from treecode.kernels.base import pair, weight_column, weight_lanes, zero
 # Sources summed before their sum is added to the rest: long sums round little more than short
 # ones, and the sources stay in the first-level cache meanwhile.
 BLOCK = 1024
+# Of singles: the error of a direct sum was 9.0e-7 with 1024, 4.0e-7 with 256, 2.3e-7 with 64.
+BLOCK_SINGLE = 128
 
 
 @standalone
@@ -34,8 +36,9 @@ def accumulate(kernel, targets, first, last, sources, weights, begin, end, out):
     """
     wide_vectors()
     sums = stack_array(targets, out.shape[0], LANES)
-    for low in range(begin, end, BLOCK):
-        high = min(low + BLOCK, end)
+    block = BLOCK_SINGLE if targets.itemsize == 4 else BLOCK
+    for low in range(begin, end, block):
+        high = min(low + block, end)
         for i in range(first, last, LANES):
             x, y, z = load(targets, 0, i), load(targets, 1, i), load(targets, 2, i)
             acc = zero(kernel, targets)
