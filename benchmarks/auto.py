@@ -4,8 +4,8 @@
 
 Regularized Stokeslets with random forces, one thread. Processor time from points to values, the
 least of several laps in turns: of "direct" a sum at 2000 targets is scaled; of "kitc" and "taylor"
-the fastest of theta, degree and leaf size that reach the tolerance; of all three in single precision
-where that reaches it; of "fmm" the largest of its tolerances that does.
+the fastest of theta, degree and leaf size that reach the tolerance; all three in single precision
+where that does; of "fmm" the largest of its tolerances that does.
 Operators are built before. Rows are kept in --rows, so that the command goes on where it ended.
 """
 
