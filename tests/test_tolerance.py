@@ -145,8 +145,9 @@ def solve(case):
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_reaches_what_is_asked(seed):
+def test_reaches_what_is_asked(monkeypatch, seed):
     """Random sums done once; benchmarks/tolerance.py has more and larger ones, done by plans."""
+    monkeypatch.setattr(auto, "FEW", 0)
     case = Case.draw(seed, 4000)
     kernel, points, strengths = case.make()
     values = tc.evaluate(kernel, points, strengths, tol=case.tol)
@@ -253,6 +254,16 @@ def test_no_strength_chooses_nothing():
     assert plan.info()["near_pairs"] is None
 
 
+def test_little_is_not_thought_about():
+    """Once a few thousand points are summed directly; a plan's many sums are chosen for."""
+    points, q = random_sum(1000)
+    exact = tc.evaluate(KERNEL, points, q, backend="direct")
+    assert np.array_equal(tc.evaluate(KERNEL, points, q, tol=1e-2), exact)
+    assert not np.array_equal(tc.Plan(KERNEL, tol=1e-2).set_points(points).execute(q), exact)
+    few = tc.Plan(KERNEL, tol=1e-2).set_points(points[:100]).execute(q[:100])
+    assert np.array_equal(few, tc.evaluate(KERNEL, points[:100], q[:100], backend="direct"))
+
+
 @pytest.mark.parametrize("backend", ["auto", "kitc", "taylor", "fmm"])
 def test_choice_is_repeatable(backend):
     """A plan that takes up the choice of another sums bit by bit the same, as that goes on."""
@@ -291,15 +302,17 @@ def test_units_apart():
         assert 0.0 < tc.relative_error(values[columns], exact[columns]) <= 1e-4
 
 
-def test_kernel_of_a_user():
+def test_kernel_of_a_user(monkeypatch):
     """Without Taylor expansions and a model of its own."""
+    monkeypatch.setattr(auto, "FEW", 0)
     kernel = RotnePrager(radius=0.01, viscosity=1.0)
     points, q = random_sum(4000, kernel)
     exact = tc.evaluate(kernel, points, q, backend="direct")
     assert tc.relative_error(tc.evaluate(kernel, points, q, tol=1e-3), exact) <= 1e-3
 
 
-def test_targets_apart():
+def test_targets_apart(monkeypatch):
+    monkeypatch.setattr(auto, "FEW", 0)
     points, q = random_sum(4000)
     targets = 1.5 * np.random.default_rng(1).random((1000, 3))
     values = tc.evaluate(KERNEL, points, q, targets, tol=1e-3)

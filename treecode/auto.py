@@ -38,14 +38,14 @@ THETAS = 0.5, 0.6, 0.7, 0.8
 DEGREES = {"kitc": range(1, 15), "taylor": range(19)}
 LEAF_SIZES = 250, 500, 1000, 2000
 TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(1, 26))  # of "fmm": few operators serve many
-FEW = 1_000_000  # pairs: what takes a millisecond is not thought about
+FEW = 100_000_000  # pairs: what takes a tenth of a second in all is not thought about
 PROBE: dict[str, Any] = {"theta": 0.7, "degree": 3, "leaf_size": 500}
 
 _PILOTS = 64  # targets at which errors are looked at before a sum
 _SAMPLES = 400  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.25  # by which errors may be larger than expected
-_SUMS = 300  # that share the operators of "fmm"
+_SUMS = 300  # that share the operators of "fmm", and the choice
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
 
@@ -200,7 +200,7 @@ class Search:
         Of treecodes, where they are not to be chosen.
     progress : bool, optional
     sums : int, optional
-        How many share the operators of "fmm".
+        How many share the operators of "fmm", and the choice.
     """
 
     kernel: Kernel
@@ -273,7 +273,8 @@ class _Case:
         drawn = np.random.default_rng(0).permutation(targets.shape[1])[:_PILOTS]
         self._pilots = targets[:, drawn]
         exact = self._require_digits(strengths)
-        self._few = sources.shape[1] * targets.shape[1] <= FEW and "direct" in search.backends
+        pairs = sources.shape[1] * targets.shape[1] * search.sums
+        self._few = pairs <= FEW and "direct" in search.backends
         if not self._few:
             probe = self._error_of(Choice("kitc", **PROBE), strengths, exact)
             self._scale = _MARGIN * (probe or self._model.usual_error)
