@@ -130,8 +130,7 @@ def fast_multipole(cases: list[Case]) -> dict[str, Any]:
                 continue
             points = np.ascontiguousarray(case.points.T)
             done = multipole.Multipole(case.kernel, tol).work(points, None)
-            precision = "float32" if tol >= multipole.SINGLE else "float64"
-            work[precision].append((done, seconds))
+            work[multipole.precision_for(tol)].append((done, seconds))
             asked.append(math.log10(tol))
             digits.append(math.log10(error / case.probe))
             if build > 0.1:

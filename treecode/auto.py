@@ -28,7 +28,7 @@ import numpy as np
 
 from treecode.backends import direct, kitc, taylor
 from treecode.backends.walk import PRECISIONS, Walk
-from treecode.fmm.multipole import SINGLE, Multipole
+from treecode.fmm.multipole import Multipole, precision_for
 from treecode.kernels.base import Kernel
 from treecode.traversal import acceptance
 from treecode.tree import Tree
@@ -46,6 +46,7 @@ _SAMPLES = 400  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.25  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm", and the choice
+_SINGLE_UNIT = 2.0**-24  # error of singles where it does not show at the pilots
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
 
@@ -279,8 +280,8 @@ class _Case:
             probe = self._error_of(Choice("kitc", **PROBE), strengths, exact)
             self._scale = _MARGIN * (probe or self._model.usual_error)
             single = Choice("direct", precision="float32")
-            rounding = _MARGIN * self._error_of(single, strengths, exact)
-            self._rounding = {"float64": 0.0, "float32": rounding}
+            rounding = self._error_of(single, strengths, exact) or _SINGLE_UNIT
+            self._rounding = {"float64": 0.0, "float32": _MARGIN * rounding}
 
     def _require_digits(self, strengths: np.ndarray) -> np.ndarray:
         """Return direct sums at the pilots; refuse a tolerance beyond their rounding.
@@ -379,8 +380,7 @@ class _Case:
                 work = multipole.work(
                     self._sources, None if self._targets is self._sources else self._targets
                 )
-                precision = "float32" if tol >= SINGLE else "float64"
-                seconds = self._model.seconds("fmm", precision, work)
+                seconds = self._model.seconds("fmm", precision_for(tol), work)
                 seconds += self._model.building_seconds(tol) / self._search.sums
                 choice = Choice("fmm", tol=tol, width=multipole.width)
                 return _Candidate(choice, seconds, error)

@@ -64,10 +64,11 @@ def one_of(name: str, value: Any, allowed: Any) -> str:
     return value
 
 
-def absent(name: str, value: Any, where: str) -> None:
-    """Refuse a value that something else decides."""
-    if value is not None:
-        raise ValueError(f"{name} must be None {where}, got {value!r}")
+def absent(where: str, **values: Any) -> None:
+    """Refuse values that something else decides."""
+    for name, value in values.items():
+        if value is not None:
+            raise ValueError(f"{name} must be None {where}, got {value!r}")
 
 
 def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.ndarray:

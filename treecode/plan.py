@@ -105,16 +105,14 @@ class Plan:
         self._counts: tuple[int, int] | None = None
         if backend == "auto":
             chosen = {"theta": theta, "degree": degree, "leaf_size": leaf_size}
-            for name, value in (chosen | {"precision": precision}).items():
-                check.absent(name, value, "with backend 'auto', which chooses it")
+            check.absent("with backend 'auto', which chooses it", **chosen, precision=precision)
             backends = auto.able(kernel)
             self._search = auto.Search(kernel, backends, _or(tol, _TOLERANCE), progress=progress)
         elif backend in auto.DEGREES and tol is not None:
-            for name, value in (("degree", degree), ("precision", precision)):
-                check.absent(name, value, "with tol, which chooses it")
+            check.absent("with tol, which chooses it", degree=degree, precision=precision)
             self._search = auto.Search(kernel, (backend,), tol, theta, leaf_size, progress)
         elif backend == "fmm":
-            check.absent("precision", precision, "with backend 'fmm', where tol decides")
+            check.absent("with backend 'fmm', where tol decides", precision=precision)
             self.use(auto.Choice("fmm", None, degree, leaf_size, tol=_or(tol, _TOLERANCE)))
         else:
             options = _or(theta, 0.7), _or(degree, 7), _or(leaf_size, 2000)

@@ -59,7 +59,8 @@ class Multipole:
         self.kernel, self.tolerance, self.degree, self.width = kernel, tolerance, degree, width
         self._progress = progress
         self._dtype: Any = np.float64
-        self._box_cost = _box_cost(kernel, _SAFETY * tolerance, tolerance >= SINGLE)
+        single = precision_for(tolerance) == "float32"
+        self._box_cost = _box_cost(kernel, _SAFETY * tolerance, single)
         self.leaf_size = leaf_size or int(2.0 * math.sqrt(self._box_cost / 27.0))
         # Below this many points no cube is worth its translations.
         self._direct = 0 if leaf_size else int(_DIRECT * self.leaf_size)
@@ -221,7 +222,7 @@ class Multipole:
 
     def _get_levels(self, halves: list[float]) -> None:
         """Get the operators for cubes of some sizes, each half the one before."""
-        single = self.tolerance >= SINGLE and bool(halves)
+        single = precision_for(self.tolerance) == "float32" and bool(halves)
         single = single and passes.single_serves(self.kernel, halves[-1], self.tolerance)
         self._dtype = np.float32 if single else np.float64
         powers = scale_powers(self.kernel, halves) if halves else None
@@ -498,6 +499,11 @@ class Multipole:
             )
 
         threads(evaluate, len(leaves))
+
+
+def precision_for(tolerance: float) -> str:
+    """Return the precision that a tolerance allows, if the kernel does."""
+    return "float32" if tolerance >= SINGLE else "float64"
 
 
 def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:

@@ -390,12 +390,9 @@ def build_level(
     if not symmetry.adjoint:
         sources = _side(outward, symmetry.sources, half, degree, shares[1] / 2)
     rank = max(_rank(side.modes, shares[1] / 2) for side in (values, sources))
-    value_basis, source_basis = values.basis(rank), sources.basis(rank)
-    inside = _octant(value_basis, values)
-    outside = _octant(source_basis, sources)
-    all_blocks = _all_blocks(
-        inward, half, (inside, values, value_basis), (outside, sources, source_basis)
-    )
+    inside = _make_end(values, rank)
+    outside = inside if symmetry.adjoint else _make_end(sources, rank)
+    all_blocks = _all_blocks(inward, half, inside, outside)
     total = sum(_mirrors(t) * np.vdot(b, b) for t, b in zip(OFFSETS, all_blocks, strict=True))
     used: list[int] = []
     matrices: list[np.ndarray] = []
@@ -406,8 +403,8 @@ def build_level(
         used.append(m)
     return Level(
         degree,
-        source_basis,
-        value_basis,
+        outside.basis,
+        inside.basis,
         tuple(sources.members),
         tuple(values.members),
         sources.scale,
@@ -489,27 +486,49 @@ def _rank(modes: list[tuple[np.ndarray, np.ndarray]], budget: float) -> int:
     return -(-max(count, 1) // _GROUP) * _GROUP
 
 
+class _End(NamedTuple):
+    """One end of the translations: a side, its basis, and what they become there.
+
+    Attributes
+    ----------
+    side : _Side
+    basis : tuple of 8 (members, rank) arrays
+    octant : _Octant
+    rotations : list
+        See `_rotations`.
+    """
+
+    side: _Side
+    basis: tuple[np.ndarray, ...]
+    octant: _Octant
+    rotations: list[tuple[np.ndarray, np.ndarray]]
+
+
+def _make_end(side: _Side, rank: int) -> _End:
+    basis = side.basis(rank)
+    return _End(side, basis, _octant(basis, side), _rotations(side, basis))
+
+
 def _all_blocks(
     table: Callable[[np.ndarray], np.ndarray],
     half: float,
-    inside: tuple[_Octant, _Side, tuple[np.ndarray, ...]],
-    outside: tuple[_Octant, _Side, tuple[np.ndarray, ...]],
+    inside: _End,
+    outside: _End,
 ) -> list[np.ndarray]:
     """Return C_t for each of `OFFSETS`, once from the kernel and then by permutations of axes."""
-    rotations = [_rotations(side, basis) for _, side, basis in (inside, outside)]
-    axes = inside[1].channels.axes
+    axes = inside.side.channels.axes
     blocks: dict[tuple[int, ...], np.ndarray] = {}
     for offset in OFFSETS:
         for n, permutation in enumerate(axes):
             original = tuple(np.array(offset)[np.argsort(permutation)])
             if original in blocks:
-                (rows, left), (columns, right) = (rotation[n] for rotation in rotations)
+                (rows, left), (columns, right) = inside.rotations[n], outside.rotations[n]
                 moved = blocks[original][rows][:, columns]
                 blocks[offset] = left[:, None] @ moved @ right.transpose(0, 2, 1)
                 break
         else:
-            scales = inside[1].scale, outside[1].scale
-            blocks[offset] = _blocks(table, half, offset, inside[0], outside[0], *scales)
+            scales = inside.side.scale, outside.side.scale
+            blocks[offset] = _blocks(table, half, offset, inside.octant, outside.octant, *scales)
     return [blocks[offset] for offset in OFFSETS]
 
 
