@@ -15,6 +15,7 @@ ALLOWED = {
     "treecode.kernels.base": {"treecode._jit", "treecode._lanes"},
     "treecode.kernels": {"treecode.kernels", "treecode._lanes", "treecode.check"},
     "treecode.pairs": {"treecode._jit", "treecode._lanes", "treecode.kernels.base"},
+    "treecode.threads": set(),
     "treecode.timing": set(),
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {"treecode._jit", "treecode.tree"},
@@ -24,17 +25,20 @@ ALLOWED = {
     },
     "treecode.backends": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
-        "treecode.timing", "treecode.traversal", "treecode.tree", "treecode.upward",
+        "treecode.threads", "treecode.timing", "treecode.traversal", "treecode.tree",
+        "treecode.upward",
     },
     "treecode.fmm.octree": {"treecode._jit", "treecode.tree"},
     "treecode.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
     "treecode.fmm.operators": {"treecode.fmm.symmetry", "treecode.kernels.base"},
     "treecode.fmm.store": {"treecode._jit", "treecode.fmm.operators", "treecode.kernels.base"},
     "treecode.fmm.passes": {
-        "treecode._jit", "treecode._lanes", "treecode.fmm.octree", "treecode.pairs",
+        "treecode._jit", "treecode._lanes", "treecode.fmm.octree", "treecode.fmm.symmetry",
+        "treecode.pairs",
     },
     "treecode.fmm.multipole": {
-        "treecode.fmm", "treecode.kernels.base", "treecode.timing", "treecode.traversal",
+        "treecode.fmm", "treecode.kernels.base", "treecode.threads", "treecode.timing",
+        "treecode.traversal",
     },
     "treecode.fmm": set(),
     "treecode.auto": {

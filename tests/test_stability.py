@@ -27,6 +27,8 @@ from oracle import BACKENDS, KERNELS, UNIT, exact, random_case, rounding, sizes,
 
 TABLE = Path(__file__).parents[1] / "docs" / "stability.md"
 DEGREES = {"direct": 1, "kitc": 4, "taylor": 6}
+SUMS = [*BACKENDS, "fmm"]
+TOLERANCE = 1e-2  # of "fmm", in singles but for singular kernels
 THETA = 0.5
 
 
@@ -107,6 +109,23 @@ def truncation(backend, degree=None):
     """
     degree = DEGREES[backend] if degree is None else degree
     return 0.0 if backend == "direct" else THETA ** (degree + 1)
+
+
+def excess(tol, kernel, points, strengths, targets=None):
+    """Return the relative error of "fmm" over its tolerance, with two to four levels of cubes.
+
+    The larger of those of velocities and angular velocities; 0 where all is 0.
+    """
+    expected = exact(kernel, points, strengths, targets)
+    with np.errstate(over="ignore"):  # of powers of lengths that this sum does not need
+        plan = tc.Plan(kernel, "fmm", tol=tol, leaf_size=8).set_points(points, targets)
+        difference = plan.execute(strengths) - expected
+    found = 0.0
+    for columns in (slice(0, 3), slice(3, None)):
+        if difference[:, columns].any():
+            error = np.linalg.norm(difference[:, columns]) / np.linalg.norm(expected[:, columns])
+            found = max(found, error / tol)
+    return found
 
 
 def name_of(kernel):
@@ -198,7 +217,8 @@ def cancellation(count, samples):
     Opposite forces in each pair: a cluster that holds both errs by a derivative, so that the error
     over what the pairs add up to, |f| d / R^2, is that of random forces over their sizes, times
     (p + 2) / theta. The faces of the smallest boxes part a share 1.5 d / side of the pairs, whose
-    errors are those of random forces. Roundings do not cancel.
+    errors are those of random forces. Roundings do not cancel. The error of "fmm" is of degree n
+    in a cube of half side h, where it changes by at most n^2/h times its size (Markov).
     """
     rng = np.random.default_rng(0)
     apart, half = 1e-6, count // 2
@@ -244,6 +264,20 @@ def cancellation(count, samples):
             bound += math.sqrt(1.5 * apart / side) * np.linalg.norm(of_any)
         relative = np.linalg.norm(of_pairs) / pair_sum
         yield at_most(f"{name}, opposite forces: error over the sum", relative, bound / pair_sum)
+    tol = 1e-8
+    plan = tc.Plan(kernel, "fmm", tol=tol).set_points(sources, targets)
+    of_any, of_pairs = (
+        np.linalg.norm(plan.execute(strengths) - one)
+        for strengths, one in zip((drawn, opposite), sums, strict=True)
+    )
+    info = plan.info()
+    bound = tol * squares / any_sum
+    yield at_most(f"fmm, tol {tol:g}, random forces: error over the sum", of_any / any_sum, bound)
+    half = plan._sum._tree.half(info["depth"])
+    change = apart * info["degree"] ** 2 / half + math.sqrt(1.5 * apart / (2.0 * half))
+    bound = (32 * UNIT * terms + change * tol * squares) / pair_sum
+    name = f"fmm, tol {tol:g}, opposite forces: error over the sum"
+    yield at_most(name, of_pairs / pair_sum, bound)
 
 
 def _powers(kernel, points, forces, power, target):
@@ -284,6 +318,20 @@ def epsilons():
                 yield at_most(f"{where}: roundings with the widest", error[-1] / UNIT, 32)
 
 
+@case("3. Epsilon from 1e-8 to 1e3 of the spacing, by fmm", slow=True, tol=1e-4)
+@case("3. Epsilon from 1e-8 to 1e3 of the spacing, by fmm", tol=1e-2)
+def epsilons_by_fmm(tol):
+    """The same points: whatever a blob is beside the cubes, the tolerance is kept."""
+    for kernel in KERNELS[:2]:
+        points, strengths, _ = random_case(kernel, 1000, 4)
+        spacing = 2.0 * len(points) ** (-1 / 3)
+        found = [
+            excess(tol, with_epsilon(kernel, spacing * 10.0**exponent), points, strengths)
+            for exponent in range(-8, 4)
+        ]
+        yield at_most(f"{name_of(kernel)}: largest error over the tolerance", max(found), 1)
+
+
 @case("4. Points at any scale")
 def scales():
     """The same points, and epsilon, at scales from denormal numbers to the bound, 1e60, and beyond.
@@ -300,7 +348,7 @@ def scales():
         yield at_most(f"scale {scale:g}: largest error over its bound", max(shares), 1)
     for scale in (1.1e60, 1e300):
         refused = 0
-        for kernel, backend in itertools.product(KERNELS, BACKENDS):
+        for kernel, backend in itertools.product(KERNELS, SUMS):
             points, strengths, _ = random_case(kernel, 10, 7)
             points[0] = 1.0
             refused += _refused(
@@ -309,7 +357,7 @@ def scales():
                 "1e+60",
             )
         asked = f"scale {scale:g}: refusals that name the points and the bound"
-        yield Finding(asked, refused, 12, 12)
+        yield Finding(asked, refused, 16, 16)
 
 
 def _shares(kernel, points, strengths):
@@ -323,7 +371,7 @@ def _shares(kernel, points, strengths):
             error = abs(plan.execute(strengths) - expected)
         allowed = rounded + truncation(backend) * size  # zero where all points count as one
         shares.append(np.divide(error, allowed, out=error.copy(), where=allowed > 0).max())
-    return shares
+    return [*shares, excess(TOLERANCE, *given)]
 
 
 def _refused(call, *words):
@@ -346,13 +394,13 @@ def strengths_at_any_scale():
             shares += _shares(kernel, points, strengths)
         yield at_most(f"strengths {scale:g}: largest error over its bound", max(shares), 1)
     refused = 0
-    for kernel, backend in itertools.product(KERNELS, BACKENDS):
+    for kernel, backend in itertools.product(KERNELS, SUMS):
         points, strengths, _ = random_case(kernel, 200, 8)
         strengths = np.sign(strengths) * 1e308
         with np.errstate(over="ignore", invalid="ignore"):
             call = partial(tc.evaluate, kernel, points, strengths, backend=backend)
             refused += _refused(call, "float64")
-    yield Finding("strengths 1e308: refusals of the sum", refused, 12, 12)
+    yield Finding("strengths 1e308: refusals of the sum", refused, 16, 16)
 
 
 @case("5. Points in 60 nested shells")
@@ -374,11 +422,9 @@ def nested_shells():
     plan = plan_of(kernel, "kitc", **options).set_points(uniform)
     plan.execute(strengths)
     around = sum(plan.info()[k] for k in ("near_pairs", "far_pairs")) / count
-    unit = np.concatenate([_shell(shell, seed) for seed in range(levels)])
-    unit *= np.repeat(0.5 ** np.arange(levels), shell)[:, None]
     rows = np.random.default_rng(10).permutation(count)[:40]
     for corner in (0.0, 1 / 3):
-        points = corner + unit
+        points = corner + _shells(levels, shell)
         plan = plan_of(kernel, "kitc", **options).set_points(points)
         values = plan.execute(strengths)[rows]
         info, where = plan.info(), f"about {corner:.3g}"
@@ -399,10 +445,44 @@ def nested_shells():
         yield at_most(f"{where}: largest error over its bound", (error / allowed).max(), 1)
 
 
-def _shell(count, seed):
-    """Return points of the cube [0, 1]^3 outside of [0, 1/2]^3."""
-    points = np.random.default_rng(seed).random((2 * count, 3))
-    return points[points.max(axis=1) > 0.5][:count]
+@case("5. Points in 60 nested shells, by fmm", tol=1e-6)
+def nested_shells_by_fmm(tol):
+    """The same shells: cubes 2^-48 as wide as the root, and the twelve innermost shells in one.
+
+    Each target's error beside the sizes of its terms, which those of its own shell are. Pairs and
+    bytes beside those of uniform points: three times as many, of which twelve shells cost each
+    other 12 * 12 / 60 shells more, and half as many bytes again.
+    """
+    levels, shell = 60, 1000
+    count = levels * shell
+    kernel = tc.Stokeslet()
+    uniform, strengths, _ = random_case(kernel, count, 9)
+    plan = tc.Plan(kernel, "fmm", tol=tol).set_points(uniform)
+    plan.execute(strengths)
+    usual = plan.info()
+    rows = np.arange(shell // 2, count, shell)
+    for corner in (0.0, 1 / 3):
+        points = corner + _shells(levels, shell)
+        plan.set_points(points)
+        values = plan.execute(strengths)[rows]
+        info, where = plan.info(), f"about {corner:.3g}"
+        found, around = (
+            (given["near_pairs"] + given["far_pairs"]) / count for given in (info, usual)
+        )
+        yield at_most(f"{where}: pairs of a target", found, 3 * around + 12 * 12 / 60 * shell)
+        yield at_most(f"{where}: depth", info["depth"], 48)
+        found = info["bytes"] / usual["bytes"]
+        yield at_most(f"{where}: bytes beside those of uniform points", found, 1.5)
+        given = kernel, points, strengths, points[rows]
+        found = (abs(values - exact(*given)) / sizes(*given)).max() / tol
+        yield at_most(f"{where}: largest error over the terms' sizes, over tol", found, 1)
+
+
+def _shells(levels, count):
+    """Return points of cubes about the origin, each half as wide as the one before, outside it."""
+    points = np.random.default_rng(0).random((levels, 2 * count, 3))
+    shells = [shell[shell.max(axis=1) > 0.5][:count] for shell in points]
+    return np.concatenate(shells) * np.repeat(0.5 ** np.arange(levels), count)[:, None]
 
 
 # --- runs -----------------------------------------------------------------------------------

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import prange
 
-from treecode._jit import Driver, inlined, method_hook, standalone, ticks
+from treecode._jit import Driver, inlined, method_hook, serial_driver, standalone, ticks
 from treecode._lanes import LANES
 from treecode.kernels.base import SMALLEST, strength_row, weights
 from treecode.pairs import accumulate_near
@@ -160,14 +160,14 @@ def _evaluate_batch(
     notes[ALL_TICKS] = ticks() - since
 
 
-@Driver
+@serial_driver
 def evaluate_batches(
     kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, like, values,
     notes,
 ):  # fmt: skip
     """Evaluate the batches ``begin:end`` of targets.
 
-    A batch belongs to one thread, so the result does not depend on the number of threads.
+    The result of a batch does not depend on what is done beside it.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def evaluate_batches(
     notes : (number of batches, NOTES) int64
         Zeros, to which those of each batch are added.
     """
-    for batch in prange(begin, end):
+    for batch in range(begin, end):
         _evaluate_batch(
             kernel,
             expansion,

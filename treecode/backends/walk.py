@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
 import numba
 import numpy as np
-from tqdm import tqdm
 
 from treecode.kernels.base import Kernel
+from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import (
     ALL_TICKS,
@@ -29,7 +28,6 @@ from treecode.traversal import (
 from treecode.tree import build_tree
 
 PRECISIONS = "float64", "float32"
-_SLAB_SECONDS = 0.5  # how long compiled code runs before Python may report, or be interrupted
 
 
 class Walk:
@@ -79,23 +77,27 @@ class Walk:
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights)
                 self._module.update(self._expansion, self._tree, self.sources, weights)
-            with self.seconds.stage("walk"), _threads_for(len(values)):
-                for first, last in self._slabs(batches):
-                    evaluate_batches(
-                        self.kernel,
-                        self._expansion,
-                        self._tree,
-                        self._distance2,
-                        self.sources,
-                        weights,
-                        self.targets,
-                        self.target_order,
-                        first,
-                        last,
-                        np.empty(0, self._dtype),
-                        values,
-                        notes,
-                    )
+            like = np.empty(0, self._dtype)
+
+            def evaluate(some: slice) -> None:
+                evaluate_batches(
+                    self.kernel,
+                    self._expansion,
+                    self._tree,
+                    self._distance2,
+                    self.sources,
+                    weights,
+                    self.targets,
+                    self.target_order,
+                    some.start,
+                    some.stop,
+                    like,
+                    values,
+                    notes,
+                )
+
+            with self.seconds.stage("walk"), Threads(self._progress, batches) as threads:
+                threads(evaluate, batches, 1, progress=True)
             self._divide_walk(notes)
         return values
 
@@ -125,22 +127,6 @@ class Walk:
         for name, column in (("near", NEAR_TICKS), ("far", FAR_TICKS)):
             self.seconds[name] = per_tick * float(ticks[column])
             self.seconds["walk"] -= self.seconds[name]
-
-    def _slabs(self, batches: int) -> Iterator[tuple[int, int]]:
-        """Cut the batches into slabs of about `_SLAB_SECONDS`."""
-        size = numba.get_num_threads()
-        first = 0
-        # A bar that is not shown takes 37 us to make, longer than to sum a hundred points.
-        with tqdm(total=batches, unit="batch") if self._progress else nullcontext() as bar:
-            while first < batches:
-                last = min(first + size, batches)
-                start = time.perf_counter()
-                yield first, last
-                elapsed = time.perf_counter() - start
-                size = max(size, int((last - first) * min(4.0, _SLAB_SECONDS / elapsed)))
-                if bar is not None:
-                    bar.update(last - first)
-                first = last
 
 
 @contextmanager

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from typing import Any
 
-import numba
 import numpy as np
 from threadpoolctl import ThreadpoolController
-from tqdm import tqdm
 
 from treecode.fmm import passes
 from treecode.fmm.octree import Octree, build_octree, direct_lists, root_widths
@@ -20,6 +17,7 @@ from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_trans
 from treecode.fmm.store import get_level
 from treecode.fmm.symmetry import scale_powers
 from treecode.kernels.base import MEMBERS, Kernel
+from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
 
@@ -122,10 +120,13 @@ class Multipole:
         self._done = True
         if self._tree is None:
             return values
-        with _blas_of_one_thread(), _Threads(self._progress) as threads:
+        with _blas_of_one_thread(), Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights)
+                # A power of two: singles hold nothing below 1e-38, nor above 1e38.
+                unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
+                weights /= unit
             with self.seconds.stage("upward"):
                 outer = self._upward(self._tree, weights, threads)
             with self.seconds.stage("translations"):
@@ -137,6 +138,7 @@ class Multipole:
                 self._near_field(self._tree, outer, weights, values, threads)
             with self.seconds.stage("far"):
                 self._evaluate(self._tree, inner, values, threads)
+                values *= unit
         return values
 
     def info(self) -> dict[str, Any]:
@@ -177,7 +179,9 @@ class Multipole:
         every = max(1, min(-(-points.shape[1] // _SAMPLE), self.leaf_size // _PER_LEAF))
         sample = points[:, ::every]
         fewer = None if split is None else -(-split // every)
-        leaf_size = max(1, self.leaf_size // every)
+        # Counts in a sample scatter, and cubes that hardly fit in must not seem to be split.
+        leaf_size = self.leaf_size / every
+        leaf_size = max(1, round(leaf_size + 0.5 * math.sqrt(leaf_size * (1.0 - 1.0 / every))))
 
         def cost(width: float) -> tuple[float, float]:
             tree, _, _ = build_octree(sample.copy(), fewer, leaf_size, width)
@@ -235,7 +239,7 @@ class Multipole:
                 self.kernel, half, _SAFETY * self.tolerance, self.degree, self._dtype
             )
 
-        with _blas_of_one_thread(), _Threads() as threads:
+        with _blas_of_one_thread(), Threads() as threads:
             threads(get, len(sizes), 1)
         if powers is not None:
             levels = {half: levels[1.0].resized(half, powers) for half in halves}
@@ -251,9 +255,7 @@ class Multipole:
         boxes = np.arange(tree.first[level], tree.first[level + 1])
         return boxes[self._has_targets[boxes]]
 
-    def _upward(
-        self, tree: Octree, weights: np.ndarray, threads: _Threads
-    ) -> dict[int, np.ndarray]:
+    def _upward(self, tree: Octree, weights: np.ndarray, threads: Threads) -> dict[int, np.ndarray]:
         """Return the expansions of each level, (cubes, 8 * rank) with a row of zeros behind."""
         outer: dict[int, np.ndarray] = {}
         for level in range(tree.depth, self._first - 1, -1):
@@ -265,7 +267,7 @@ class Multipole:
         return outer
 
     def _expand_leaves(
-        self, tree: Octree, level: int, weights: np.ndarray, rows: np.ndarray, threads: _Threads
+        self, tree: Octree, level: int, weights: np.ndarray, rows: np.ndarray, threads: Threads
     ) -> None:
         """Expand the sources in the leaves of one level (P2M)."""
         operators, first = self._levels[level], tree.first[level]
@@ -289,10 +291,10 @@ class Multipole:
             for c in range(CLASSES):
                 by_class[boxes - first, c] = flat[:, operators.source_members[c]] @ basis[c]
 
-        threads(expand, len(leaves))
+        threads(expand, len(leaves), _CHUNK)
 
     def _merge_children(
-        self, tree: Octree, level: int, outer: dict[int, np.ndarray], threads: _Threads
+        self, tree: Octree, level: int, outer: dict[int, np.ndarray], threads: Threads
     ) -> None:
         """Add the expansions of children to those of their parents (M2M)."""
         child = tree.child[tree.first[level] : tree.first[level + 1]]
@@ -305,10 +307,10 @@ class Multipole:
                 rows = child[some, octant] - tree.first[level + 1]
                 outer[level][some] += outer[level + 1][rows] @ up[octant]
 
-        threads(merge, len(parents))
+        threads(merge, len(parents), _CHUNK)
 
     def _across(
-        self, tree: Octree, outer: dict[int, np.ndarray], threads: _Threads
+        self, tree: Octree, outer: dict[int, np.ndarray], threads: Threads
     ) -> dict[int, np.ndarray]:
         """Return what cubes do to cubes of the same size, (cubes, 8, rank) each level (M2L)."""
         inner: dict[int, np.ndarray] = {}
@@ -319,7 +321,7 @@ class Multipole:
         return inner
 
     def _translate(
-        self, tree: Octree, level: int, outer: np.ndarray, inner: np.ndarray, threads: _Threads
+        self, tree: Octree, level: int, outer: np.ndarray, inner: np.ndarray, threads: Threads
     ) -> None:
         operators = self._levels[level]
         boxes = self._boxes_with_targets(tree, level)
@@ -339,18 +341,18 @@ class Multipole:
                 pairs[chunk],
             )
 
-        threads(translate, len(boxes))
+        threads(translate, len(boxes), _CHUNK)
         self._pairs[1] += pairs.sum()
 
     def _across_sizes(
-        self, tree: Octree, inner: dict[int, np.ndarray], weights: np.ndarray, threads: _Threads
+        self, tree: Octree, inner: dict[int, np.ndarray], weights: np.ndarray, threads: Threads
     ) -> None:
         """Add what the points of larger leaves do in smaller cubes (P2L)."""
         for level in self._levels:
             self._act_on_smaller(tree, level, inner[level], weights, threads)
 
     def _act_on_smaller(
-        self, tree: Octree, level: int, inner: np.ndarray, weights: np.ndarray, threads: _Threads
+        self, tree: Octree, level: int, inner: np.ndarray, weights: np.ndarray, threads: Threads
     ) -> None:
         operators = self._levels[level]
         boxes = self._coarse_boxes
@@ -383,13 +385,13 @@ class Multipole:
         acting = entries[begin[first] : begin[stop]]
         self._pairs[1] += nodes.shape[1] * np.diff(tree.source)[acting].sum()
 
-    def _downward(self, tree: Octree, inner: dict[int, np.ndarray], threads: _Threads) -> None:
+    def _downward(self, tree: Octree, inner: dict[int, np.ndarray], threads: Threads) -> None:
         """Pass expansions on from parents to children (L2L)."""
         for level in range(self._first, tree.depth):
             self._pass_on(tree, level, inner, threads)
 
     def _pass_on(
-        self, tree: Octree, level: int, inner: dict[int, np.ndarray], threads: _Threads
+        self, tree: Octree, level: int, inner: dict[int, np.ndarray], threads: Threads
     ) -> None:
         child = tree.child[tree.first[level] : tree.first[level + 1]]
         parents = np.flatnonzero((child >= 0).any(axis=1))
@@ -403,7 +405,7 @@ class Multipole:
                 rows = child[some, octant] - tree.first[level + 1]
                 below[rows] += above[some] @ down[octant]
 
-        threads(split, len(parents))
+        threads(split, len(parents), _CHUNK)
 
     def _near_field(
         self,
@@ -411,10 +413,10 @@ class Multipole:
         outer: dict[int, np.ndarray],
         weights: np.ndarray,
         values: np.ndarray,
-        threads: _Threads,
+        threads: Threads,
     ) -> None:
         """Sum over neighbours point by point, and over proxies of smaller cubes (P2P, M2P)."""
-        proxies, proxy_weights = self._proxies(tree, outer)
+        nodes, node_weights = self._proxies(tree, outer)
         slot = np.full(len(tree.level), -1)
         slot[self._proxy_boxes] = np.arange(len(self._proxy_boxes))
         begin, entries = self._near_lists
@@ -428,8 +430,9 @@ class Multipole:
                 self.sources,
                 weights,
                 tree.source,
-                proxies,
-                proxy_weights,
+                nodes,
+                node_weights,
+                tree.centers(self._proxy_boxes),
                 slot,
                 begin[chunk.start : chunk.stop + 1],
                 entries,
@@ -446,7 +449,7 @@ class Multipole:
         self._pairs[0] += pairs.sum()
 
     def _proxies(self, tree: Octree, outer: dict[int, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        """Return points and weights that stand for the expansions of some cubes."""
+        """Return points, seen from the centres, and weights that stand for expansions of cubes."""
         boxes = self._proxy_boxes
         levels = np.unique(tree.level[boxes]).tolist()
         most = max((self._levels[level].degree for level in levels), default=0) ** 3
@@ -464,19 +467,19 @@ class Multipole:
                 functions = by_class[:, c] @ operators.source_basis[c].T
                 flat[:, operators.source_members[c]] = functions
             spread = operators.spread(coefficients * operators.source_scale[:, None])
-            points[rows, :, : nodes.shape[1]] = tree.centers(boxes[rows])[:, :, None] + nodes
+            points[rows, :, : nodes.shape[1]] = nodes
             weights[rows, :, : nodes.shape[1]] = spread
         return points, weights
 
     def _evaluate(
-        self, tree: Octree, inner: dict[int, np.ndarray], values: np.ndarray, threads: _Threads
+        self, tree: Octree, inner: dict[int, np.ndarray], values: np.ndarray, threads: Threads
     ) -> None:
         """Add the expansions in the leaves at their targets (L2P)."""
         for level in range(self._first, tree.depth + 1):
             self._evaluate_leaves(tree, level, inner[level], values, threads)
 
     def _evaluate_leaves(
-        self, tree: Octree, level: int, inner: np.ndarray, values: np.ndarray, threads: _Threads
+        self, tree: Octree, level: int, inner: np.ndarray, values: np.ndarray, threads: Threads
     ) -> None:
         operators, first = self._levels[level], tree.first[level]
         n = operators.degree
@@ -498,7 +501,7 @@ class Multipole:
                 values,
             )
 
-        threads(evaluate, len(leaves))
+        threads(evaluate, len(leaves), _CHUNK)
 
 
 def precision_for(tolerance: float) -> str:
@@ -518,36 +521,6 @@ def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:
     return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
 
-class _Threads:
-    """As many threads as numba would use, for functions that release the interpreter."""
-
-    def __init__(self, progress: bool = False) -> None:
-        self._progress = progress
-
-    def __enter__(self) -> _Threads:
-        count = numba.get_num_threads()
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
-        return self
-
-    def __exit__(self, *exception: Any) -> None:
-        if self._pool:
-            self._pool.shutdown(cancel_futures=True)
-
-    def __call__(
-        self,
-        function: Callable[[slice], None],
-        count: int,
-        chunk: int = _CHUNK,
-        progress: bool = False,
-    ) -> None:
-        """Call `function` for slices of ``range(count)``, each by one thread."""
-        slices = [slice(i, min(i + chunk, count)) for i in range(0, count, chunk)]
-        run: Callable[..., Iterable[None]] = self._pool.map if self._pool else map
-        quiet = not (progress and self._progress)
-        for _ in tqdm(run(function, slices), total=len(slices), disable=quiet, unit="batch"):
-            pass
-
-
 @cache
 def _blas() -> ThreadpoolController:
     return ThreadpoolController()
@@ -555,6 +528,6 @@ def _blas() -> ThreadpoolController:
 
 @contextmanager
 def _blas_of_one_thread() -> Iterator[None]:
-    """Leave the threads to `_Threads`: products of a chunk are too small to be shared."""
+    """Leave the threads to `Threads`: products of a chunk are too small to be shared."""
     with _blas().limit(limits=1, user_api="blas"):
         yield

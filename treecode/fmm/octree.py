@@ -10,7 +10,8 @@ import numpy as np
 from treecode._jit import compiled, inlined
 from treecode.tree import OCTANTS, count_octants, resized, sort_octants
 
-_MAX_LEVEL = 48  # cells are numbered in int64, and doubles tell no finer ones apart
+_MAX_LEVEL = 48  # centres and cells are then whole numbers below 2^53 of one unit
+_LEAST = 2.0**-490  # squares of shorter lengths are below the normal numbers
 _NEIGHBOURS = 27
 _SELF = 13  # the number of the cell itself among its neighbours
 
@@ -74,13 +75,21 @@ class Octree(NamedTuple):
 def root_widths(points: np.ndarray) -> list[float]:
     """Return four sides of a root around points, (3, P), from the least to almost twice that.
 
-    They are powers of 2^(1/4), so that a side stays the same while points move a little.
+    They are 4, 5, 6 or 7 times a power of two, so that a side stays the same while points move a
+    little, and centres can be exact.
     """
     low, high = points.min(axis=1), points.max(axis=1)
     extent = 2.0 * float((0.5 * high - 0.5 * low).max())
-    # Room for the highest point, which rounding may put outside.
-    least = math.ceil(4.0 * math.log2(max(extent * (1.0 + 2.0**-40), 1e-280)))
-    return [2.0 ** (0.25 * (least + i)) for i in range(4)]
+    # Room for the outermost points, which rounding may put outside.
+    least = max(extent * (1.0 + 2.0**-40) + 2.0 * _spacing(points, extent), 1e-280)
+    unit = math.ldexp(1.0, math.frexp(least)[1] - 3)
+    widths = [m * unit for m in (4, 5, 6, 7, 8, 10, 12, 14)]
+    return [width for width in widths if width >= least][:4]
+
+
+def _spacing(points: np.ndarray, width: float) -> float:
+    """Return a power of two of which all doubles are multiples that may be a root's coordinates."""
+    return float(np.spacing(np.abs(points).max() + width))
 
 
 def build_octree(
@@ -109,10 +118,12 @@ def build_octree(
     count = points.shape[1]
     order = np.arange(count)
     low, high = points.min(axis=1), points.max(axis=1)
-    # No cells that doubles cannot tell apart.
-    spacing = np.spacing(np.abs(points).max())
-    levels = min(_MAX_LEVEL, max(0, int(math.log2(width / max(spacing, 1e-290))) - 2))
-    corner = 0.5 * low + 0.5 * high - 0.5 * width
+    # Centres are exact: at 48 levels they were off by a hundredth of a cube, and errors of 1e-8
+    # became 1e-3. So the corner, and halves of the finest sides, are multiples of one unit.
+    spacing = max(_spacing(points, width), _LEAST)
+    levels = math.frexp(width)[1] - math.frexp(spacing)[1] - 3
+    levels = min(_MAX_LEVEL, max(0, levels))
+    corner = np.rint((0.5 * low + 0.5 * high - 0.5 * width) / spacing) * spacing
     split = count if sources is None else sources
     table, cells = _split(points, order, split, corner, width, leaf_size, levels)
     level, parent, octant, start, stop = table.T

@@ -15,7 +15,8 @@ the best approximation in the mean square. Four things make it cheap:
 * The classes are sorted by weight, and the further apart two cubes are the fewer are used.
 * Under a permutation of the axes components change places: C_t follows from another one.
 
-Channels of different units (forces and torques) are brought to one size before.
+Channels of different units (forces and torques) are brought to one size before: with lengths in
+micrometres errors were 25 times the tolerance.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
-from treecode.fmm.symmetry import Channels, find_symmetry, tabulate
+from treecode.fmm.symmetry import Channels, find_symmetry, find_units, tabulate
 from treecode.kernels.base import Kernel
 
 CLASSES = 8
@@ -49,6 +50,7 @@ _SAMPLES = 6
 # 1e-8 0.65 times as large.
 _OVERSAMPLING = 1.5
 _FEW_SAMPLES = 4  # to choose a degree
+_FAR = 4.0  # half sides, a distance at which channels are brought to one size
 _AT_A_TIME = 64  # of these points, for memory
 _FEW_MODES = 64  # singular vectors of a class that are looked for first
 
@@ -376,12 +378,15 @@ def build_level(
         float32 or float64.
     """
     symmetry = find_symmetry(kernel, half)
+    units = find_units(kernel, _FAR * half)
+    factors = np.outer(units.values, units.sources)
+    tolerance *= units.evenness
 
     def inward(points: np.ndarray) -> np.ndarray:
-        return tabulate(kernel, points)
+        return tabulate(kernel, points) * factors
 
     def outward(points: np.ndarray) -> np.ndarray:
-        return tabulate(kernel, -points).transpose(0, 2, 1)
+        return inward(-points).transpose(0, 2, 1)
 
     shares = [share * tolerance**2 for share in _SHARES]
     degree = degree or _choose_degree(inward, symmetry.values, half, shares[0] / 2)
@@ -407,8 +412,8 @@ def build_level(
         inside.basis,
         tuple(sources.members),
         tuple(values.members),
-        sources.scale,
-        values.scale,
+        sources.scale * units.sources,
+        values.scale * units.values,
         np.concatenate(matrices),
         np.append(0, np.cumsum([len(matrix) for matrix in matrices])),
         np.array(used),

@@ -9,6 +9,7 @@ import numpy as np
 from treecode._jit import compiled, inlined, serial_driver, wide_vectors
 from treecode._lanes import EIGHT, lane_count, load, load_eight, store, store_eight
 from treecode.fmm.octree import cell_at
+from treecode.fmm.symmetry import find_units
 from treecode.pairs import accumulate, accumulate_row
 
 _TOGETHER = 64  # boxes of one product: with 16 or 32 K example 1 is a tenth slower
@@ -297,8 +298,8 @@ def _gather(points, weights, low, high, shift, at, near, near_weights):
 
 @serial_driver
 def near_field(
-    kernel, points, weights, source, proxies, proxy_weights, slot, begin, entries, targets, ranges,
-    centers, order, like, values, pairs,
+    kernel, points, weights, source, nodes, node_weights, middles, slot, begin, entries, targets,
+    ranges, centers, order, like, values, pairs,
 ):  # fmt: skip
     """Sum over the neighbours of some leaves.
 
@@ -309,11 +310,13 @@ def near_field(
         Sources.
     source : (B, 2) int64
         Sources of each box.
-    proxies : (slots, 3, n) float64
-        Points that stand for the expansion of a box.
-    proxy_weights : (slots, weight_size, n) float64
+    nodes : (slots, 3, n) float64
+        Points that stand for the expansion of a box, seen from its centre.
+    node_weights : (slots, weight_size, n) float64
+    middles : (slots, 3) float64
+        Centres of those boxes.
     slot : (B,) int64
-        Of each box in `proxies`.
+        Of each box in `nodes`.
     begin, entries : int64 arrays
         Boxes that act on each leaf, see `octree.direct_lists`.
     targets : (3, M) float64
@@ -341,7 +344,7 @@ def near_field(
             if box >= 0:
                 count += source[box, 1] - source[box, 0]
             else:
-                stand_ins += proxies.shape[2]
+                stand_ins += nodes.shape[2]
         out = np.zeros((values.shape[1], high - low))
         block = np.empty((3, high - low), like.dtype)
         near = np.zeros((3, max(count, stand_ins) + lanes), like.dtype)
@@ -356,8 +359,9 @@ def near_field(
                 box = entries[k]
                 if proxy and box < 0:
                     s = slot[~box]
-                    w, x = proxy_weights[s], proxies[s]
-                    at = _gather(x, w, 0, x.shape[1], shift, at, near, near_weights)
+                    w, x = node_weights[s], nodes[s]
+                    away = shift - middles[s]  # exact, as the centres are
+                    at = _gather(x, w, 0, x.shape[1], away, at, near, near_weights)
                 elif not proxy and box >= 0:
                     at = _gather(
                         points,
@@ -419,6 +423,8 @@ def single_serves(kernel: Any, half: float, tolerance: float) -> bool:
 
     It must agree with doubles, and the kernel must not change over the rounding of a coordinate.
     """
+    units = find_units(kernel, half)
+    tolerance *= units.evenness
     rng = np.random.default_rng(0)
     scale = np.append(0.0, half * 2.0 ** -np.arange(24.0))
     for length in scale:
@@ -432,7 +438,7 @@ def single_serves(kernel: Any, half: float, tolerance: float) -> bool:
                 sources[:, :1], weights[:, 0] = points, unit
                 out = np.zeros((kernel.value_size, 1))
                 _evaluate_few(kernel, sources, weights, out)
-                results.append(out)
+                results.append(out * units.values[:, None])
             exact, single, changed = results
             bound = 0.3 * tolerance * np.abs(exact).max()
             worst = np.maximum(np.abs(single - exact), np.abs(changed - exact)).max()

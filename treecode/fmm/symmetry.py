@@ -1,4 +1,4 @@
-"""What reflections and permutations of the axes do to a kernel, found from its values alone."""
+"""What reflections, permutations of the axes and units do to a kernel, found from its values."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from treecode.kernels.base import Kernel
 from treecode.pairs import accumulate
 
 _SAME = 1e-9  # relative to the largest component at its distance
+_POINTS = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))  # where kernels are looked at
 
 
 class Channels(NamedTuple):
@@ -78,14 +79,55 @@ def scale_powers(kernel: Kernel, lengths: list[float]) -> np.ndarray | None:
     lengths : list of float
         At which this has to hold, as well as between 2^-200 and 2^200.
     """
-    points = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))
     scale = np.append(2.0 ** np.arange(-200.0, 201.0, 20.0), lengths)
-    one, two = tabulate(kernel, points), tabulate(kernel, 2.0 * points)
+    one, two = tabulate(kernel, _POINTS), tabulate(kernel, 2.0 * _POINTS)
     with np.errstate(all="ignore"):  # what leaves the range of doubles is not the same
         powers = np.log2(np.linalg.norm(two, axis=(0, 1)) / np.linalg.norm(one, axis=(0, 1)))
-        tables = np.array([tabulate(kernel, s * points) / s**powers for s in scale])
+        tables = np.array([tabulate(kernel, s * _POINTS) / s**powers for s in scale])
         same = np.abs(tables - one) <= _SAME * np.abs(one).max(axis=(0, 1))
     return powers if same.all() else None
+
+
+class Units(NamedTuple):
+    """What brings all channels to one size at a distance.
+
+    Attributes
+    ----------
+    values, sources : (channels,) float64
+        Components of the kernel are multiplied by both.
+    evenness : float
+        How small what one kind of source does to one kind of value is even then, beside the
+        largest; a third counts as 1. Wide blobs hardly turn what they push.
+    """
+
+    values: np.ndarray
+    sources: np.ndarray
+    evenness: float
+
+
+def find_units(kernel: Kernel, length: float) -> Units:
+    """Find the units of a kernel at a distance.
+
+    With lengths in micrometres a torque does a millionth of what a force does. Components that
+    change places under permutations of the axes get the same unit.
+    """
+    images = [_POINTS[list(axes)] for axes in itertools.permutations(range(3))]
+    sizes = np.abs(tabulate(kernel, length * np.concatenate(images, axis=1))).mean(axis=0)
+    values, sources = np.ones(sizes.shape[0]), np.ones(sizes.shape[1])
+    known = sizes > 0.0
+    for _ in range(2):  # first with components that are zero but for rounding
+        rows, columns = np.nonzero(known)
+        either = np.hstack([np.eye(len(values))[rows], np.eye(len(sources))[columns]])
+        logarithms, *_ = np.linalg.lstsq(either, -np.log(sizes[known]))
+        values, sources = np.split(np.exp(logarithms), [len(values)])
+        even = sizes * np.outer(values, sources)
+        known &= even > _SAME
+    largest: dict[tuple[float, float], float] = {}
+    for i, j in zip(*np.nonzero(known), strict=True):  # by kinds: those of one unit
+        kinds = float(f"{values[i]:.6g}"), float(f"{sources[j]:.6g}")
+        largest[kinds] = max(largest.get(kinds, 0.0), float(even[i, j]))
+    evenness = 3.0 * min(largest.values(), default=1.0) / max(largest.values(), default=1.0)
+    return Units(values, sources, min(1.0, evenness))
 
 
 def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
@@ -99,11 +141,13 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
     ValueError
         If a reflection does more than change signs of components.
     """
-    points = np.random.default_rng(0).uniform(1.0, 2.0, (3, 16))
+    points = _POINTS
     lengths = half * 2.0 ** np.arange(0.0, 60.0, 4.0)
+    units = [np.outer(*find_units(kernel, length)[:2]) for length in lengths]
 
     def sample(moved: np.ndarray) -> np.ndarray:
-        tables = (tabulate(kernel, length * moved) for length in lengths)
+        pairs = zip(lengths, units, strict=True)
+        tables = (tabulate(kernel, length * moved) * unit for length, unit in pairs)
         return np.concatenate([table / np.abs(table).max() for table in tables])
 
     table = sample(points)
