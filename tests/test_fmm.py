@@ -10,7 +10,7 @@ from test_degenerate import POINTS
 import treecode as tc
 from oracle import each_kernel, exact, random_case, with_epsilon
 from rotne_prager import RotnePrager
-from treecode.fmm import multipole, operators, store, symmetry
+from treecode.fmm import multipole, octree, operators, store, symmetry
 from treecode.fmm.symmetry import find_symmetry
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
@@ -151,6 +151,19 @@ def test_moving_points_keep_the_operators(monkeypatch):
     values = plan.set_points(moved).execute(strengths)
     expected = tc.evaluate(KERNEL, moved, strengths, backend="direct")
     assert tc.relative_error(values, expected) <= 1e-2
+
+
+@pytest.mark.parametrize(
+    ("cells", "extra", "depth"), [(0, 0, 3), (2, 3, 3), (4, 3, 4), (1, 4, 3), (1, 5, 4)]
+)
+def test_levels_are_not_opened_for_few(cells, extra, depth):
+    """A lattice of full leaves, and some that are fuller: 1 % of the points, or twice as full."""
+    rng = np.random.default_rng(11)
+    corners = (np.indices((8, 8, 8)).reshape(3, -1, 1) + np.array([0.25, 0.75, 0.25, 0.75])) / 8.0
+    more = corners[:, :cells, :1] + rng.uniform(0.0, 0.05, (3, cells, extra))
+    points = np.concatenate([corners.reshape(3, -1), more.reshape(3, -1)], axis=1)
+    tree, _, _ = octree.build_octree(points, None, 4, 1.0)
+    assert tree.depth == depth
 
 
 def test_user_kernel():

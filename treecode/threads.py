@@ -19,11 +19,12 @@ class Threads:
     """
 
     def __init__(self, progress: bool = False, most: int | None = None) -> None:
-        self._progress = progress
-        self._most = numba.get_num_threads() if most is None else most
+        self._progress, self._most = progress, most
 
     def __enter__(self) -> Threads:
-        count = min(self._most, numba.get_num_threads())
+        count = numba.get_num_threads()
+        if self._most is not None:
+            count = min(count, self._most)
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
         return self
 

@@ -13,6 +13,9 @@ from treecode.tree import OCTANTS, count_octants, resized, sort_octants
 _MAX_LEVEL = 48  # centres and cells are then whole numbers below 2^53 of one unit
 _LEAST = 2.0**-490  # squares of shorter lengths are below the normal numbers
 _NEIGHBOURS = 27
+# Part of the points for which alone no further level is opened, if no cube holds more than twice
+# what it may: its operators take longer to build than they save.
+_FEW = 0.01
 _SELF = 13  # the number of the cell itself among its neighbours
 
 
@@ -73,18 +76,18 @@ class Octree(NamedTuple):
 
 
 def root_widths(points: np.ndarray) -> list[float]:
-    """Return four sides of a root around points, (3, P), from the least to almost twice that.
+    """Return eight sides of a root around points, (3, P), from the least to almost twice that.
 
-    They are 4, 5, 6 or 7 times a power of two, so that a side stays the same while points move a
-    little, and centres can be exact.
+    They are 8, 9, ... or 15 times a power of two, so that a side stays the same while points move
+    a little, and centres can be exact.
     """
     low, high = points.min(axis=1), points.max(axis=1)
     extent = 2.0 * float((0.5 * high - 0.5 * low).max())
     # Room for the outermost points, which rounding may put outside.
     least = max(extent * (1.0 + 2.0**-40) + 2.0 * _spacing(points, extent), 1e-280)
-    unit = math.ldexp(1.0, math.frexp(least)[1] - 3)
-    widths = [m * unit for m in (4, 5, 6, 7, 8, 10, 12, 14)]
-    return [width for width in widths if width >= least][:4]
+    unit = math.ldexp(1.0, math.frexp(least)[1] - 4)
+    widths = [m * unit for m in (*range(8, 16), *range(16, 32, 2))]
+    return [width for width in widths if width >= least][:8]
 
 
 def _spacing(points: np.ndarray, width: float) -> float:
@@ -97,7 +100,8 @@ def build_octree(
 ) -> tuple[Octree, np.ndarray, np.ndarray]:
     """Sort points into cubes of at most `leaf_size` sources and as many targets.
 
-    Boxes without points do not exist.
+    Boxes without points do not exist. Where so few points are in fuller boxes that another level
+    would not pay, these hold up to twice as many.
 
     Parameters
     ----------
@@ -119,9 +123,9 @@ def build_octree(
     order = np.arange(count)
     low, high = points.min(axis=1), points.max(axis=1)
     # Centres are exact: at 48 levels they were off by a hundredth of a cube, and errors of 1e-8
-    # became 1e-3. So the corner, and halves of the finest sides, are multiples of one unit.
+    # became 6e-4. So the corner, and halves of the finest sides, are multiples of one unit.
     spacing = max(_spacing(points, width), _LEAST)
-    levels = math.frexp(width)[1] - math.frexp(spacing)[1] - 3
+    levels = math.frexp(width)[1] - math.frexp(spacing)[1] - 4
     levels = min(_MAX_LEVEL, max(0, levels))
     corner = np.rint((0.5 * low + 0.5 * high - 0.5 * width) / spacing) * spacing
     split = count if sources is None else sources
@@ -161,6 +165,17 @@ def _coincide(points, start, stop):
     return True
 
 
+@inlined
+def _fullness(order, split, count, start, stop):
+    """Return how many sources, or targets if they are more, there are in a range of points."""
+    if split == count:
+        return stop - start
+    sources = 0
+    for i in range(start, stop):
+        sources += order[i] < split
+    return max(sources, stop - start - sources)
+
+
 @compiled
 def _split(points, order, split, low, width, leaf_size, levels):
     """Return level, parent, octant, start and stop of each box, and its cell."""
@@ -171,20 +186,23 @@ def _split(points, order, split, low, width, leaf_size, levels):
     begin = np.empty(OCTANTS + 1, np.int64)
     table[0, 1] = -1
     table[0, 4] = points.shape[1]
-    count = 1
-    box = 0
-    while box < count:
-        level, start, stop = table[box, 0], table[box, 3], table[box, 4]
-        sources = 0
-        for i in range(start, stop):
-            sources += order[i] < split
-        targets = stop - start if split == points.shape[1] else stop - start - sources
-        if (
-            level < levels
-            and max(sources, targets) > leaf_size
-            and not _coincide(points, start, stop)
-        ):
-            side = width * 0.5**level
+    first, count = 0, 1
+    for level in range(levels):
+        full = np.empty(count - first, np.int64)
+        fullest = together = 0
+        for i in range(len(full)):
+            start, stop = table[first + i, 3], table[first + i, 4]
+            full[i] = _fullness(order, split, points.shape[1], start, stop)
+            if full[i] > leaf_size:
+                fullest = max(fullest, full[i])
+                together += stop - start
+        if fullest <= 2 * leaf_size and together <= _FEW * points.shape[1]:
+            break
+        side = width * 0.5**level
+        for box in range(first, first + len(full)):
+            start, stop = table[box, 3], table[box, 4]
+            if full[box - first] <= leaf_size or _coincide(points, start, stop):
+                continue
             for d in range(3):
                 middle[d] = low[d] + (cells[box, d] + 0.5) * side
             count_octants(points, start, stop, middle, begin)
@@ -203,7 +221,7 @@ def _split(points, order, split, low, width, leaf_size, levels):
                     for d in range(3):
                         cells[count, d] = 2 * cells[box, d] + (octant >> d & 1)
                     count += 1
-        box += 1
+        first += len(full)
     return table[:count].copy(), cells[:count].copy()
 
 

@@ -141,7 +141,6 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
     ValueError
         If a reflection does more than change signs of components.
     """
-    points = _POINTS
     lengths = half * 2.0 ** np.arange(0.0, 60.0, 4.0)
     units = [np.outer(*find_units(kernel, length)[:2]) for length in lengths]
 
@@ -150,14 +149,14 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
         tables = (tabulate(kernel, length * moved) * unit for length, unit in pairs)
         return np.concatenate([table / np.abs(table).max() for table in tables])
 
-    table = sample(points)
+    table = sample(_POINTS)
     parity = [
-        _reflected(kernel, table, sample(np.where(np.arange(3)[:, None] == d, -points, points)))
+        _reflected(kernel, table, sample(np.where(np.arange(3)[:, None] == d, -_POINTS, _POINTS)))
         for d in range(3)
     ]
     axes, moved = [], []
     for permutation in itertools.permutations(range(3)):
-        found = _permuted(table, sample(points[list(permutation)]))
+        found = _permuted(table, sample(_POINTS[list(permutation)]))
         if found is not None:
             axes.append(permutation)
             moved.append(found)
@@ -171,7 +170,7 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
         for side in range(2)
     )
     adjoint = all(np.array_equal(*pair) for pair in zip(values, sources, strict=True)) and bool(
-        np.abs(sample(-points).transpose(0, 2, 1) - table).max() <= _SAME
+        np.abs(sample(-_POINTS).transpose(0, 2, 1) - table).max() <= _SAME
     )
     return Symmetry(values, sources, adjoint)
 
