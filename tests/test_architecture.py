@@ -28,7 +28,7 @@ ALLOWED = {
         "treecode.threads", "treecode.timing", "treecode.traversal", "treecode.tree",
         "treecode.upward",
     },
-    "treecode.fmm.octree": {"treecode._jit", "treecode.tree"},
+    "treecode.fmm.octree": {"treecode._jit", "treecode.threads", "treecode.tree"},
     "treecode.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
     "treecode.fmm.operators": {"treecode.fmm.symmetry", "treecode.kernels.base"},
     "treecode.fmm.store": {"treecode._jit", "treecode.fmm.operators", "treecode.kernels.base"},

@@ -12,6 +12,7 @@ from oracle import each_kernel, exact, random_case, with_epsilon
 from rotne_prager import RotnePrager
 from treecode.fmm import multipole, octree, operators, store, symmetry
 from treecode.fmm.symmetry import find_symmetry
+from treecode.threads import Threads
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 
@@ -162,7 +163,8 @@ def test_levels_are_not_opened_for_few(cells, extra, depth):
     corners = (np.indices((8, 8, 8)).reshape(3, -1, 1) + np.array([0.25, 0.75, 0.25, 0.75])) / 8.0
     more = corners[:, :cells, :1] + rng.uniform(0.0, 0.05, (3, cells, extra))
     points = np.concatenate([corners.reshape(3, -1), more.reshape(3, -1)], axis=1)
-    tree, _, _ = octree.build_octree(points, None, 4, 1.0)
+    with Threads() as threads:
+        tree, _, _ = octree.build_octree(points, None, 4, 1.0, threads)
     assert tree.depth == depth
 
 

@@ -81,19 +81,20 @@ class Multipole:
         self._tree: Octree | None = None
         if not (self.sources.size and self.targets.size):
             return
-        with self.seconds.stage("tree"):
+        with self.seconds.stage("tree"), Threads() as threads:
             split = None if same else sources.shape[1]
-            self._choose_width(points, split)
+            self._choose_width(points, split, threads)
             few = points.shape[1] <= self._direct
+            leaf_size = points.shape[1] if few else self.leaf_size
             self._tree, self.source_order, self.target_order = build_octree(
-                points, split, points.shape[1] if few else self.leaf_size, self.width
+                points, split, leaf_size, self.width, threads
             )
             if same:
                 self.sources = self.targets = points
             else:
                 self.sources = np.ascontiguousarray(sources[:, self.source_order])
                 self.targets = np.ascontiguousarray(self.targets[:, self.target_order])
-            self._find_neighbours(self._tree)
+            self._find_neighbours(self._tree, threads)
         with self.seconds.stage("operators"):
             self._get_operators(self._tree)
 
@@ -104,7 +105,8 @@ class Multipole:
         takes for each, in proportion to the third power of the digits.
         """
         points = sources if targets is None else np.concatenate([sources, targets], axis=1)
-        self._choose_width(points, None if targets is None else sources.shape[1])
+        with Threads() as threads:
+            self._choose_width(points, None if targets is None else sources.shape[1], threads)
         pairs, cubes = self._work
         if points.shape[1] <= self._direct:
             m = sources.shape[1] if targets is None else targets.shape[1]
@@ -171,7 +173,7 @@ class Multipole:
             "bytes": sum({id(array): array.nbytes for array in held}.values()),
         }
 
-    def _choose_width(self, points: np.ndarray, split: int | None) -> None:
+    def _choose_width(self, points: np.ndarray, split: int | None, threads: Threads) -> None:
         """Choose the side of the root, which sets how full the leaves are; keep it if it fits."""
         widths = root_widths(points)
         if widths[0] <= self.width <= widths[-1]:
@@ -183,29 +185,34 @@ class Multipole:
         leaf_size = self.leaf_size / every
         leaf_size = max(1, round(leaf_size + 0.5 * math.sqrt(leaf_size * (1.0 - 1.0 / every))))
 
-        def cost(width: float) -> tuple[float, float]:
-            tree, _, _ = build_octree(sample.copy(), fewer, leaf_size, width)
-            leaves = np.flatnonzero(tree.is_leaf)
-            begin, entries = direct_lists(tree, leaves, len(sample.T), False)
+        works: dict[float, tuple[float, float]] = {}
+
+        def weigh(chunk: slice) -> None:
+            width = widths[chunk.start]
+            with Threads(most=1) as alone:
+                tree, _, _ = build_octree(sample.copy(), fewer, leaf_size, width, alone)
+                leaves = np.flatnonzero(tree.leaf)
+                begin, entries = direct_lists(tree, leaves, len(sample.T), False, alone)
             counts = np.append(np.diff(tree.source)[entries, 0], 0)
             near = np.add.reduceat(counts, begin[:-1]) * (np.diff(begin) > 0)
             pairs = float(near @ np.diff(tree.target)[leaves, 0]) * every**2
-            return pairs, self._box_cost * np.count_nonzero(tree.level >= _FIRST)
+            works[width] = pairs, self._box_cost * np.count_nonzero(tree.level >= _FIRST)
 
-        costs = [cost(width) for width in widths]
-        self._work, self.width = min(zip(costs, widths, strict=True), key=lambda item: sum(item[0]))
+        threads(weigh, len(widths), 1)
+        self.width = min(works, key=lambda width: (sum(works[width]), width))
+        self._work = works[self.width]
 
-    def _find_neighbours(self, tree: Octree) -> None:
+    def _find_neighbours(self, tree: Octree, threads: Threads) -> None:
         """List what acts directly: leaves on leaves, and cubes on cubes of another size."""
-        leaf = tree.is_leaf
+        leaf = tree.leaf
         sources, targets = np.diff(tree.source)[:, 0], np.diff(tree.target)[:, 0]
         self._has_targets = targets > 0
         self._source_leaves = np.flatnonzero(leaf & (sources > 0))
         self._target_leaves = np.flatnonzero(leaf & self._has_targets)
         # Nodes that would stand for an expansion; its degree is known when operators are.
         worth = (self.degree or math.ceil(1.5 * math.log10(1.0 / (_SAFETY * self.tolerance)))) ** 3
-        self._near_lists = direct_lists(tree, self._target_leaves, worth, False)
-        begin, entries = direct_lists(tree, np.arange(len(tree.level)), worth, True)
+        self._near_lists = direct_lists(tree, self._target_leaves, worth, False, threads)
+        begin, entries = direct_lists(tree, np.arange(len(tree.level)), worth, True, threads)
         self._coarse_boxes = np.flatnonzero(np.diff(begin))
         self._coarse_lists = np.append(0, np.diff(begin)[self._coarse_boxes].cumsum()), entries
         self._proxy_boxes = np.unique(~self._near_lists[1][self._near_lists[1] < 0])

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode._jit import compiled, inlined
-from treecode.tree import OCTANTS, count_octants, resized, sort_octants
+from treecode.threads import Threads
+from treecode.tree import OCTANTS, count_octants, sort_octants
 
 _MAX_LEVEL = 48  # centres and cells are then whole numbers below 2^53 of one unit
 _LEAST = 2.0**-490  # squares of shorter lengths are below the normal numbers
@@ -16,6 +17,7 @@ _NEIGHBOURS = 27
 # Part of the points for which alone no further level is opened, if no cube holds more than twice
 # what it may: its operators take longer to build than they save.
 _FEW = 0.01
+_PIECES = 64  # of the boxes of a level, for the threads
 _SELF = 13  # the number of the cell itself among its neighbours
 
 
@@ -35,6 +37,8 @@ class Octree(NamedTuple):
         direction d.
     child : (B, 8) int64
         Children by octant; -1 where there are no points.
+    leaf : (B,) bool
+        Whether a box has no children.
     source, target : (B, 2) int64
         Ranges of the sources and targets inside, in tree order.
     neighbour : (B, 27) int64
@@ -50,6 +54,7 @@ class Octree(NamedTuple):
     parent: np.ndarray
     octant: np.ndarray
     child: np.ndarray
+    leaf: np.ndarray
     source: np.ndarray
     target: np.ndarray
     neighbour: np.ndarray
@@ -59,11 +64,6 @@ class Octree(NamedTuple):
     def depth(self) -> int:
         """Levels below the root."""
         return len(self.first) - 2
-
-    @property
-    def is_leaf(self) -> np.ndarray:
-        """Whether each box has no children."""
-        return np.all(self.child < 0, axis=1)
 
     def half(self, level: int) -> float:
         """Return half the side of the boxes of a level."""
@@ -96,7 +96,7 @@ def _spacing(points: np.ndarray, width: float) -> float:
 
 
 def build_octree(
-    points: np.ndarray, sources: int | None, leaf_size: int, width: float
+    points: np.ndarray, sources: int | None, leaf_size: int, width: float, threads: Threads
 ) -> tuple[Octree, np.ndarray, np.ndarray]:
     """Sort points into cubes of at most `leaf_size` sources and as many targets.
 
@@ -112,6 +112,7 @@ def build_octree(
     leaf_size : int
     width : float
         Side of the root.
+    threads : Threads
 
     Returns
     -------
@@ -129,8 +130,8 @@ def build_octree(
     levels = min(_MAX_LEVEL, max(0, levels))
     corner = np.rint((0.5 * low + 0.5 * high - 0.5 * width) / spacing) * spacing
     split = count if sources is None else sources
-    table, cells = _split(points, order, split, corner, width, leaf_size, levels)
-    level, parent, octant, start, stop = table.T
+    table, cell = _split(points, order, split, corner, width, leaf_size, levels, threads)
+    level, parent, octant, start, stop = table
     first = np.searchsorted(level, np.arange(level[-1] + 2))
     child = np.full((len(level), OCTANTS), -1)
     child[parent[1:], octant[1:]] = np.arange(1, len(level))
@@ -147,12 +148,56 @@ def build_octree(
     neighbour = np.full((len(level), _NEIGHBOURS), -1)
     neighbour[0, _SELF] = 0
     _meet(parent, octant, child, neighbour)
-    columns = (np.ascontiguousarray(a) for a in (level, parent, octant))
-    level, parent, octant = columns
+    leaf = np.all(child < 0, axis=1)
     tree = Octree(
-        corner, width, cells, level, parent, octant, child, source, target, neighbour, first
+        corner, width, cell, level, parent, octant, child, leaf, source, target, neighbour, first
     )
     return tree, *orders
+
+
+def _split(
+    points: np.ndarray,
+    order: np.ndarray,
+    split: int,
+    low: np.ndarray,
+    width: float,
+    leaf_size: int,
+    levels: int,
+    threads: Threads,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return level, parent, octant, start and stop of each box, (5, B), and its cell, (B, 3)."""
+    count = points.shape[1]
+    tables = [np.array([[0], [-1], [0], [0], [count]])]
+    cells = [np.zeros((1, 3), np.int64)]
+    first = 0
+    for level in range(levels):
+        start, stop = tables[-1][3:]
+        size = full = stop - start
+        if split < count:
+            before = np.append(0, np.cumsum(order < split))
+            sources = before[stop] - before[start]
+            full = np.maximum(sources, size - sources)
+        boxes = np.flatnonzero(full > leaf_size)
+        if full.max() <= 2 * leaf_size and size[boxes].sum() <= _FEW * count:
+            break
+        middle = low + (cells[-1][boxes] + 0.5) * (width * 0.5**level)
+        begin = np.empty((len(boxes), OCTANTS + 1), np.int64)
+        begin[:, 0], begin[:, -1] = start[boxes], stop[boxes]
+
+        def sort(chunk: slice, middle: np.ndarray = middle, begin: np.ndarray = begin) -> None:
+            _sort(points, order, middle[chunk], begin[chunk])
+
+        threads(sort, len(boxes), 1 + len(boxes) // _PIECES)
+        place, octant = np.nonzero(np.diff(begin))
+        if len(place) == 0:
+            break
+        lowest, highest = begin[place, octant], begin[place, octant + 1]
+        parent = boxes[place]
+        depth = np.full(len(place), level + 1)
+        tables.append(np.stack([depth, first + parent, octant, lowest, highest]))
+        cells.append(2 * cells[-1][parent] + (octant[:, None] >> np.arange(3) & 1))
+        first += len(start)
+    return np.concatenate(tables, axis=1), np.concatenate(cells)
 
 
 @inlined
@@ -165,64 +210,21 @@ def _coincide(points, start, stop):
     return True
 
 
-@inlined
-def _fullness(order, split, count, start, stop):
-    """Return how many sources, or targets if they are more, there are in a range of points."""
-    if split == count:
-        return stop - start
-    sources = 0
-    for i in range(start, stop):
-        sources += order[i] < split
-    return max(sources, stop - start - sources)
-
-
 @compiled
-def _split(points, order, split, low, width, leaf_size, levels):
-    """Return level, parent, octant, start and stop of each box, and its cell."""
-    capacity = 64
-    table = np.zeros((capacity, 5), np.int64)
-    cells = np.zeros((capacity, 3), np.int64)
-    middle = np.empty(3)
-    begin = np.empty(OCTANTS + 1, np.int64)
-    table[0, 1] = -1
-    table[0, 4] = points.shape[1]
-    first, count = 0, 1
-    for level in range(levels):
-        full = np.empty(count - first, np.int64)
-        fullest = together = 0
-        for i in range(len(full)):
-            start, stop = table[first + i, 3], table[first + i, 4]
-            full[i] = _fullness(order, split, points.shape[1], start, stop)
-            if full[i] > leaf_size:
-                fullest = max(fullest, full[i])
-                together += stop - start
-        if fullest <= 2 * leaf_size and together <= _FEW * points.shape[1]:
-            break
-        side = width * 0.5**level
-        for box in range(first, first + len(full)):
-            start, stop = table[box, 3], table[box, 4]
-            if full[box - first] <= leaf_size or _coincide(points, start, stop):
-                continue
-            for d in range(3):
-                middle[d] = low[d] + (cells[box, d] + 0.5) * side
-            count_octants(points, start, stop, middle, begin)
-            sort_octants(points, order, middle, begin)
-            if count + OCTANTS > capacity:
-                capacity *= 2
-                table = resized(table, count, capacity)
-                cells = resized(cells, count, capacity)
+def _sort(points, order, middle, begin):
+    """Sort the points of some boxes by octant, and write where each begins.
+
+    Octant o of box b is to go from ``begin[b, o]`` to ``begin[b, o + 1]``; the first and the last
+    are known. If all points of a box are one, all its octants are empty.
+    """
+    for box in range(len(begin)):
+        start, stop = begin[box, 0], begin[box, OCTANTS]
+        if _coincide(points, start, stop):
             for octant in range(OCTANTS):
-                if begin[octant + 1] > begin[octant]:
-                    table[count, 0] = level + 1
-                    table[count, 1] = box
-                    table[count, 2] = octant
-                    table[count, 3] = begin[octant]
-                    table[count, 4] = begin[octant + 1]
-                    for d in range(3):
-                        cells[count, d] = 2 * cells[box, d] + (octant >> d & 1)
-                    count += 1
-        first += len(full)
-    return table[:count].copy(), cells[:count].copy()
+                begin[box, octant + 1] = start
+        else:
+            count_octants(points, start, stop, middle[box], begin[box])
+            sort_octants(points, order, middle[box], begin[box])
 
 
 @inlined
@@ -271,14 +273,6 @@ def _count(ranges, box):
 
 
 @inlined
-def _is_leaf(tree, box):
-    children = 0
-    for octant in range(tree.child.shape[1]):
-        children += tree.child[box, octant] >= 0
-    return children == 0
-
-
-@inlined
 def _emit(entries, count, box):
     if count < len(entries):
         entries[count] = box
@@ -298,7 +292,7 @@ def _near_below(tree, leaf, box, worth, stack, entries, count):
         if not touches(tree, box, leaf):
             proxies = _count(tree.source, box) > worth
             count = _emit(entries, count, ~box if proxies else box)
-        elif _is_leaf(tree, box):
+        elif tree.leaf[box]:
             count = _emit(entries, count, box)
         else:
             for octant in range(tree.child.shape[1]):
@@ -321,13 +315,16 @@ def _near_of(tree, leaf, worth, stack, entries):
     count = 0
     for slot in range(tree.neighbour.shape[1]):
         box = tree.neighbour[leaf, slot]
-        if box >= 0:
+        if box >= 0 and tree.leaf[box]:  # most are: without this, lists take 4 times longer
+            if _count(tree.source, box):
+                count = _emit(entries, count, box)
+        elif box >= 0:
             count = _near_below(tree, leaf, box, worth, stack, entries, count)
     around = tree.parent[leaf]
     while around >= 0:
         for slot in range(tree.neighbour.shape[1]):
             box = tree.neighbour[around, slot]
-            if box >= 0 and box != around and _count(tree.source, box) and _is_leaf(tree, box):
+            if box >= 0 and tree.leaf[box] and box != around and _count(tree.source, box):
                 apart = not touches(tree, leaf, box)
                 if not apart or _count(tree.target, _topmost_apart(tree, leaf, box)) <= worth:
                     count = _emit(entries, count, box)
@@ -339,8 +336,8 @@ def _near_of(tree, leaf, worth, stack, entries):
 def _just_apart(tree, box, coarse):
     """Tell whether `coarse` is a leaf with sources that touches the parent of `box`, not `box`."""
     return (
-        _count(tree.source, coarse) > 0
-        and _is_leaf(tree, coarse)
+        tree.leaf[coarse]
+        and _count(tree.source, coarse) > 0
         and touches(tree, tree.parent[box], coarse)
         and not touches(tree, box, coarse)
     )
@@ -361,8 +358,9 @@ def _coarse_of(tree, box, worth, entries):
     return count
 
 
-@compiled
-def direct_lists(tree, boxes, worth, coarse):
+def direct_lists(
+    tree: Octree, boxes: np.ndarray, worth: int, coarse: bool, threads: Threads
+) -> tuple[np.ndarray, np.ndarray]:
     """List the boxes whose sources act on some boxes not through a translation.
 
     Parameters
@@ -374,6 +372,7 @@ def direct_lists(tree, boxes, worth, coarse):
         An expansion stands for more points than that only.
     coarse : bool
         Whether sources act on the boxes' expansions, rather than on their targets.
+    threads : Threads
 
     Returns
     -------
@@ -381,10 +380,24 @@ def direct_lists(tree, boxes, worth, coarse):
     entries : (begin[-1],) int64
         A box whose sources act, or ``~box`` if its expansion does.
     """
-    begin = np.zeros(len(boxes) + 1, np.int64)
+    lists: dict[int, tuple[np.ndarray, np.ndarray]] = {0: (np.zeros(0, np.int64),) * 2}
+
+    def find(chunk: slice) -> None:
+        lists[chunk.start] = _lists(tree, boxes[chunk], worth, coarse)
+
+    threads(find, len(boxes), 1 + len(boxes) // _PIECES)
+    counts, entries = map(np.concatenate, zip(*(lists[i] for i in sorted(lists)), strict=True))
+    return np.append(0, counts.cumsum()), entries
+
+
+@compiled
+def _lists(tree, boxes, worth, coarse):
+    """Return how many entries each of some boxes has, and all of them."""
+    counts = np.empty(len(boxes), np.int64)
     stack = np.empty(8 * (len(tree.first) + 1), np.int64)
     buffer = np.empty(1024, np.int64)
-    entries = np.empty(0, np.int64)
+    entries = np.empty(1024, np.int64)
+    stop = 0
     for i in range(len(boxes)):
         count = -1
         while count < 0:
@@ -395,12 +408,13 @@ def direct_lists(tree, boxes, worth, coarse):
             if count > len(buffer):
                 buffer = np.empty(2 * count, np.int64)
                 count = -1
-        begin[i + 1] = begin[i] + count
-        if begin[i + 1] > len(entries):
-            larger = np.empty(max(2 * begin[i + 1], 1024), np.int64)
-            for k in range(begin[i]):
+        if stop + count > len(entries):
+            larger = np.empty(2 * (stop + count), np.int64)
+            for k in range(stop):
                 larger[k] = entries[k]
             entries = larger
         for k in range(count):
-            entries[begin[i] + k] = buffer[k]
-    return begin, entries[: begin[-1]].copy()
+            entries[stop + k] = buffer[k]
+        counts[i] = count
+        stop += count
+    return counts, entries[:stop].copy()
