@@ -31,6 +31,7 @@ import treecode as tc
 from treecode import auto
 from treecode.backends.walk import PRECISIONS
 from treecode.fmm import multipole, store
+from treecode.fmm.symmetry import scale_powers
 
 KERNELS = {
     "RegularizedStokeslet": tc.RegularizedStokeslet(epsilon=0.01),
@@ -116,7 +117,9 @@ def treecodes(cases: list[Case], backend: str) -> dict[str, Any]:
 def fast_multipole(cases: list[Case]) -> dict[str, Any]:
     """Return the model of the fast multipole method."""
     work: Runs = {precision: [] for precision in PRECISIONS}
-    asked, digits, tolerances, builds = [], [], [], []
+    asked, digits = [], []
+    builds: dict[float, float] = {}  # seconds for cubes of one size; other cases may load them
+    each = scale_powers(cases[0].kernel, [1.0]) is None
     for tol in TOLERANCES:
         for case in cases.copy():
             start = time.process_time()
@@ -130,16 +133,16 @@ def fast_multipole(cases: list[Case]) -> dict[str, Any]:
                 continue
             points = np.ascontiguousarray(case.points.T)
             done = multipole.Multipole(case.kernel, tol).work(points, None)
-            work[multipole.precision_for(tol)].append((done, seconds))
+            work[multipole.precision_for(tol)].append((done.amounts, seconds))
             asked.append(math.log10(tol))
             digits.append(math.log10(error / case.probe))
-            if build > 0.1:
-                tolerances.append(math.log10(tol))
-                builds.append(math.log10(build))
+            build /= done.sizes if each else 1
+            builds[tol] = max(build, builds.get(tol, 0.0))
     return {
         "seconds": fit(work),
         "error": line(asked, digits),
-        "build": line(tolerances, builds),
+        "build": line(*np.log10([list(builds), list(builds.values())])),
+        "each": each,  # whether operators serve cubes of one size only
     }
 
 

@@ -1,6 +1,7 @@
 """The fast multipole method reaches its tolerance, on any points, with any kernel that it takes."""
 
 import math
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -337,3 +338,28 @@ def test_small_enough_to_interpret(monkeypatch):
     targets = rng.uniform(-1.0, 1.0, (5, 3))
     achieved, _ = error(kernel, 0.5, points, forces, targets, leaf_size=4, degree=1)
     assert achieved < 0.3
+
+
+@pytest.mark.parametrize("tol", [1e-2, 1e-4])
+def test_memory_is_foreseen(monkeypatch, tol):
+    """What operators would take is known within a factor of 3, and refused if it is too much."""
+    points, strengths, _ = random_case(KERNEL, 4000, 12)
+    plan = tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points(points)
+    held = sum(level.matrices.nbytes for level in plan._sum._levels.values())
+    sizes = len(plan._sum._levels)
+
+    def allowed(room):
+        least = held * (1.0 + multipole._BUILDING / sizes) / multipole._MEMORY
+        machine = NamedTuple("machine", [("total", float)])(room * least)
+        monkeypatch.setattr(multipole.psutil, "virtual_memory", lambda: machine)
+        return tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points
+
+    allowed(3.0)(points)
+    with pytest.raises(ValueError, match=r"tol must be .* to fit in memory, got 0\.0") as refusal:
+        allowed(1.0 / 3.0)(points)
+    least = float(re.search(r"at least (\S+)", str(refusal.value))[1])
+    tc.Plan(KERNEL, "fmm", tol=least, leaf_size=30).set_points(points)
+    # Another sum is found.
+    plan = tc.Plan(KERNEL, tol=1e-2).set_points(points)
+    assert tc.relative_error(plan.execute(strengths), exact(KERNEL, points, strengths)) <= 1e-2
+    assert plan.backend != "fmm"

@@ -232,7 +232,8 @@ class Search:
             except ValueError:
                 if choice.backend != "fmm" or "direct" not in self.backends:
                     raise
-                case.misses["fmm", None] = math.inf  # it refuses kernels that are not isotropic
+                # It refuses kernels that are not isotropic, and what does not fit in memory.
+                case.misses["fmm", None] = math.inf
                 continue
             values = done.execute(strengths)
             if choice == EXACT:
@@ -380,8 +381,9 @@ class _Case:
                 work = multipole.work(
                     self._sources, None if self._targets is self._sources else self._targets
                 )
-                seconds = self._model.seconds("fmm", precision_for(tol), work)
-                seconds += self._model.building_seconds(tol) / self._search.sums
+                seconds = self._model.seconds("fmm", precision_for(tol), work.amounts)
+                building = self._model.building_seconds(tol, work.sizes)
+                seconds += building / self._search.sums
                 choice = Choice("fmm", tol=tol, width=multipole.width)
                 return _Candidate(choice, seconds, error)
         return _Candidate(Choice("fmm", tol=tol), math.inf, error)
@@ -460,7 +462,7 @@ class Model:
         """Return how long `work` takes.
 
         Pairs near, of which direct sums have no others; of a treecode pairs far, expansions
-        evaluated, sources times terms, and points; of "fmm" see `Multipole.work`.
+        evaluated, sources times terms, and points; of "fmm" see `multipole.Work`.
         """
         rates = self._fitted[backend]["seconds"][precision]
         return sum(rate * amount for rate, amount in zip(rates, work, strict=True))
@@ -471,10 +473,11 @@ class Model:
         offset, slope = (np.interp(theta, THETAS, fitted[name]) for name in ("offset", "slope"))
         return 10.0 ** (offset + slope * degree)
 
-    def building_seconds(self, tol: float) -> float:
-        """Return how long the operators of "fmm" take to build."""
-        offset, slope = self._fitted["fmm"]["build"]
-        return float(10.0 ** (offset + slope * math.log10(tol)))
+    def building_seconds(self, tol: float, sizes: int) -> float:
+        """Return how long the operators of "fmm" take to build, for cubes of some sizes."""
+        fitted = self._fitted["fmm"]
+        offset, slope = fitted["build"]
+        return float(10.0 ** (offset + slope * math.log10(tol))) * (sizes if fitted["each"] else 1)
 
     def multipole_error(self, tol: float) -> float:
         """Return the error of "fmm"."""

@@ -6,9 +6,10 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import psutil
 from threadpoolctl import ThreadpoolController
 
 from treecode.fmm import passes
@@ -28,6 +29,8 @@ KERNEL_MEMBERS = MEMBERS
 # points that crowd in corners of cubes, make more of it.
 _SAFETY = 0.4
 SINGLE = 3e-6  # tolerance from which single precision serves, if it does for the kernel
+_MEMORY = 0.5  # part of the machine's memory that operators may take
+_BUILDING = 4  # operators as large as this many others are in memory when some are built
 _FIRST = 2  # the coarsest level with cubes that do not touch
 _DIRECT = 16  # leaves
 _CHUNK = 256  # cubes that one thread takes at a time
@@ -36,6 +39,22 @@ _SAMPLE = 40_000  # points from which the side of the root is chosen,
 _PER_LEAF = 8  # more if fewer than so many would be left in a leaf
 _ROOM = 64  # more than any lanes
 _OFFSETS = np.array(OFFSETS)
+
+
+class Work(NamedTuple):
+    """What a sum takes.
+
+    Attributes
+    ----------
+    amounts : list of float
+        Near pairs, what cubes are worth in near pairs, points, and points times what an expansion
+        takes for each, in proportion to the third power of the digits.
+    sizes : int
+        Of cubes, each with operators of its own unless one serves all.
+    """
+
+    amounts: list[float]
+    sizes: int
 
 
 class Multipole:
@@ -62,7 +81,7 @@ class Multipole:
         self.leaf_size = leaf_size or int(2.0 * math.sqrt(self._box_cost / 27.0))
         # Below this many points no cube is worth its translations.
         self._direct = 0 if leaf_size else int(_DIRECT * self.leaf_size)
-        self._work = math.inf, math.inf
+        self._work = math.inf, math.inf, 0
         self._served: tuple[int, list[float]] = 0, []
         self._levels: dict[int, Level] = {}
         self._transfers: dict[int, Transfer] = {}
@@ -98,22 +117,18 @@ class Multipole:
         with self.seconds.stage("operators"):
             self._get_operators(self._tree)
 
-    def work(self, sources: np.ndarray, targets: np.ndarray | None) -> list[float]:
-        """Return what the time of a sum over such points is made of; no operators are needed.
-
-        Near pairs, what cubes are worth in near pairs, points, and points times what an expansion
-        takes for each, in proportion to the third power of the digits.
-        """
+    def work(self, sources: np.ndarray, targets: np.ndarray | None) -> Work:
+        """Return what a sum over such points takes, as a sample tells; nothing is built."""
         points = sources if targets is None else np.concatenate([sources, targets], axis=1)
         with Threads() as threads:
             self._choose_width(points, None if targets is None else sources.shape[1], threads)
-        pairs, cubes = self._work
+        pairs, cubes, sizes = self._work
         if points.shape[1] <= self._direct:
             m = sources.shape[1] if targets is None else targets.shape[1]
-            pairs, cubes = sources.shape[1] * m, 0.0
+            pairs, cubes, sizes = sources.shape[1] * m, 0.0, 0
         # Points that are sources and targets are expanded, and expansions evaluated there.
         count = points.shape[1] * (2 if targets is None else 1)
-        return [pairs, cubes, count, -count * math.log10(self.tolerance) ** 3]
+        return Work([pairs, cubes, count, -count * math.log10(self.tolerance) ** 3], sizes)
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
@@ -185,7 +200,7 @@ class Multipole:
         leaf_size = self.leaf_size / every
         leaf_size = max(1, round(leaf_size + 0.5 * math.sqrt(leaf_size * (1.0 - 1.0 / every))))
 
-        works: dict[float, tuple[float, float]] = {}
+        works: dict[float, tuple[float, float, int]] = {}
 
         def weigh(chunk: slice) -> None:
             width = widths[chunk.start]
@@ -196,10 +211,11 @@ class Multipole:
             counts = np.append(np.diff(tree.source)[entries, 0], 0)
             near = np.add.reduceat(counts, begin[:-1]) * (np.diff(begin) > 0)
             pairs = float(near @ np.diff(tree.target)[leaves, 0]) * every**2
-            works[width] = pairs, self._box_cost * np.count_nonzero(tree.level >= _FIRST)
+            cubes = self._box_cost * np.count_nonzero(tree.level >= _FIRST)
+            works[width] = pairs, cubes, max(0, tree.depth + 1 - _FIRST)
 
         threads(weigh, len(widths), 1)
-        self.width = min(works, key=lambda width: (sum(works[width]), width))
+        self.width = min(works, key=lambda width: (sum(works[width][:2]), width))
         self._work = works[self.width]
 
     def _find_neighbours(self, tree: Octree, threads: Threads) -> None:
@@ -238,6 +254,7 @@ class Multipole:
         self._dtype = np.float32 if single else np.float64
         powers = scale_powers(self.kernel, halves) if halves else None
         sizes = halves if powers is None else [1.0]  # one serves all
+        self._require_memory(len(sizes))
         levels: dict[float, Level] = {}
 
         def get(chunk: slice) -> None:
@@ -257,6 +274,19 @@ class Multipole:
                 self._transfers[level] = self._transfers[level - 1]
             else:
                 self._transfers[level] = make_transfer(self._levels[level], self._levels[level - 1])
+
+    def _require_memory(self, sizes: int) -> None:
+        """Refuse operators that do not fit; estimated, as building them can take minutes."""
+        allowed = _MEMORY * psutil.virtual_memory().total / (sizes + _BUILDING)
+        per_rank2 = 35.0 * np.dtype(self._dtype).itemsize
+        if per_rank2 * _rank(self.kernel, _SAFETY * self.tolerance) ** 2 > allowed:
+            # Ranks are in proportion to the square of the digits.
+            rank = _rank(self.kernel, 0.1)
+            digits = math.sqrt(math.sqrt(allowed / per_rank2) / rank)
+            raise ValueError(
+                f"tol must be at least {10.0**-digits / _SAFETY:.1e} for the operators of cubes of "
+                f"{sizes} sizes to fit in memory, got {self.tolerance:g}"
+            )
 
     def _boxes_with_targets(self, tree: Octree, level: int) -> np.ndarray:
         boxes = np.arange(tree.first[level], tree.first[level + 1])
@@ -516,14 +546,25 @@ def precision_for(tolerance: float) -> str:
     return "float32" if tolerance >= SINGLE else "float64"
 
 
+def _channels(kernel: Kernel) -> float:
+    return kernel.weight_size * kernel.value_size / 9.0
+
+
+def _rank(kernel: Kernel, tolerance: float) -> float:
+    """Return about how many functions an expansion has; a level takes 35 numbers times its square.
+
+    Measured for 3 x 3 and 6 x 6 kernels at 1e-4 to 2e-11: 29 to 45 times.
+    """
+    return 12.0 * math.log10(1.0 / tolerance) ** 2 * _channels(kernel) ** 0.4
+
+
 def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:
     """Return what one cube more costs, in near pairs of the same precision.
 
     Measured: 40 and 120 microseconds for translations at ranks of 128 and 320 in single precision,
     0.75 ms at 576 in double precision, some 15 for the rest; 0.9e9 and 0.75e9 pairs a second.
     """
-    channels = kernel.weight_size * kernel.value_size / 9.0
-    rank = 12.0 * math.log10(1.0 / tolerance) ** 2 * channels**0.4
+    channels, rank = _channels(kernel), _rank(kernel, tolerance)
     seconds = (0.6e-9 if single else 2.2e-9) * rank**2 + 1.25e-7 * rank + 3e-5
     return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
