@@ -26,7 +26,7 @@ SINGLE_THETA = 0.7  # of the sums that are done in singles as well
 FINE: dict[str, Any] = {
     "kitc": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
     "taylor": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
-    "fmm": (1e-2, 2e-3, 1e-3, 1e-4, 3e-5, 1e-6, 5e-7, 3e-7, 1e-8, 1e-10),
+    "fmm": (1e-2, 2e-3, 1e-3, 1e-4, 3e-5, 1e-6, 5e-7, 3e-7, 1e-8, 1e-10, 1e-11),
     "fmm3d": (1e-3, 1e-6, 1e-9),
 }
 COARSE = FINE | {
