@@ -37,7 +37,9 @@ class Threads:
     ) -> None:
         """Call `function` for slices of ``range(count)``, each by one thread."""
         slices = [slice(i, min(i + size, count)) for i in range(0, count, size)]
-        run: Callable[..., Iterable[None]] = self._pool.map if self._pool else map
+        # A single piece wakes nobody.
+        pool = self._pool if len(slices) > 1 else None
+        run: Callable[..., Iterable[None]] = pool.map if pool else map
         # A bar that is not shown takes 37 us to make, longer than to sum a hundred points.
         shown = progress and self._progress
         with tqdm(total=len(slices), unit="batch") if shown else nullcontext() as bar:

@@ -254,7 +254,8 @@ class Multipole:
         self._dtype = np.float32 if single else np.float64
         powers = scale_powers(self.kernel, halves) if halves else None
         sizes = halves if powers is None else [1.0]  # one serves all
-        self._require_memory(len(sizes))
+        if sizes:
+            self._require_memory(len(sizes))
         levels: dict[float, Level] = {}
 
         def get(chunk: slice) -> None:
