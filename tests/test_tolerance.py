@@ -187,6 +187,22 @@ def test_a_miss_is_corrected(monkeypatch):
     assert achieved(KERNEL, points, q, values) <= 1e-4
 
 
+def test_room_is_used(monkeypatch):
+    """Where the model expects ten times the error, a plan finds what it would have chosen."""
+    points, q = random_sum(4000)
+    expected = auto.Model.error
+
+    def chosen(times, sums):
+        monkeypatch.setattr(auto.Model, "error", lambda *args: times * expected(*args))
+        search = auto.Search(KERNEL, ("kitc",), 1e-4, leaf_size=100, sums=sums)
+        choice, _, values = search(points.T.copy(), None, q)
+        assert achieved(KERNEL, points, q, values) <= 1e-4
+        return choice
+
+    assert chosen(10.0, sums=300) == chosen(1.0, sums=300)
+    assert chosen(10.0, sums=1) != chosen(1.0, sums=1)
+
+
 @pytest.mark.interpreted
 @pytest.mark.parametrize("backend", ["auto", "kitc", "taylor"])
 def test_small_enough_to_interpret(monkeypatch, backend):

@@ -7,7 +7,8 @@
   and strengths compare with those of the model, single precision what its rounding does to them,
   and pairs are counted on the way of these targets;
 * the cheapest sum that should reach the tolerance is done;
-* its error is sampled, and if it is too large a more accurate one is done instead.
+* its error is sampled: if it is too large a more accurate sum is done instead, and if it leaves
+  room for one that is cheaper, and many are to follow, that is tried.
 
 No time is measured: what is chosen depends on kernel, points and strengths alone.
 """
@@ -19,7 +20,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, NoReturn
@@ -46,6 +47,8 @@ _SAMPLES = 400  # and after it
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.25  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm", and the choice
+_WORTH = 0.9  # of the seconds of a sum that will do, below which another is tried
+_LEAST = 0.1  # of an expected error: a sum that has hardly a far field tells nothing of others
 _SINGLE_UNIT = 2.0**-24  # error of singles where it does not show at the pilots
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
@@ -223,8 +226,8 @@ class Search:
             With the tolerance that can be had.
         """
         case = _Case(self, sources, sources if targets is None else targets, strengths)
-        while True:
-            best = case.cheapest()
+        kept, limit = None, math.inf
+        while limit > 0.0 and (best := case.cheapest(limit)):
             choice = best.choice
             done = choice.sum(self.kernel, self.progress)
             try:
@@ -233,16 +236,17 @@ class Search:
                 if choice.backend != "fmm" or "direct" not in self.backends:
                     raise
                 # It refuses kernels that are not isotropic, and what does not fit in memory.
-                case.misses["fmm", None] = math.inf
+                case.learn(best, math.inf)
                 continue
             values = done.execute(strengths)
             if choice == EXACT:
                 return choice, done, values
             bound = self.bound(done, strengths, values)
+            case.learn(best, bound)
             if bound <= self.tolerance:
-                return choice, done, values
-            kind = choice.backend, choice.precision
-            case.misses[kind] *= bound / best.error if bound < 1.0 else math.inf
+                kept, limit = (choice, done, values), _WORTH * best.seconds * (self.sums > 1)
+        assert kept is not None  # else `cheapest` refuses
+        return kept
 
     def bound(self, done: Walk | Multipole, strengths: np.ndarray, values: np.ndarray) -> float:
         """Return what the error of a sum that gave `values` hardly exceeds."""
@@ -258,12 +262,9 @@ class _Candidate(NamedTuple):
 
 
 class _Case:
-    """What a few targets tell of points and strengths, and what sums there are for them.
+    """What a few targets and the sums done tell of points and strengths, and what sums there are.
 
-    Attributes
-    ----------
-    misses : dict
-        For each backend and precision, how much larger than expected its error was.
+    Of each kind of sum `learn` takes how its error compared with the model.
     """
 
     def __init__(
@@ -271,7 +272,9 @@ class _Case:
     ) -> None:
         self._search, self._model = search, model(search.kernel)
         self._sources, self._targets = sources, targets
-        self.misses: dict[tuple[str, str | None], float] = defaultdict(lambda: 1.0)
+        self._misses: dict[tuple[str, str | None], float] = defaultdict(lambda: 1.0)
+        self._prices: dict[float, tuple[Choice, float]] = {}
+        self._tried: set[Choice] = set()
         drawn = np.random.default_rng(0).permutation(targets.shape[1])[:_PILOTS]
         self._pilots = targets[:, drawn]
         exact = self._require_digits(strengths)
@@ -314,16 +317,36 @@ class _Case:
         squares = ((values - exact) ** 2 @ units).sum(axis=0)
         return float(_ratio(squares, (exact**2 @ units).sum(axis=0)).max())
 
-    def cheapest(self) -> _Candidate:
-        """Return the cheapest of what should reach the tolerance."""
+    def cheapest(self, below: float) -> _Candidate | None:
+        """Return the cheapest of what should reach the tolerance and was not tried yet.
+
+        None if there is none in less than `below` seconds; refused if there is none at all.
+        """
         if self._few:
             return _Candidate(EXACT, 0.0, 0.0)
-        offers = [offer for backend in self._search.backends for offer in self._offers(backend)]
-        good = [offer for offer in offers if offer.error <= self._search.tolerance]
-        if not good:
+        offers = [self._expected(walk) for walk in self._walks]
+        if "fmm" in self._search.backends:
+            offers.append(self._multipole())
+        good = [
+            offer
+            for offer in offers
+            if offer.error <= self._search.tolerance
+            and offer.seconds < below
+            and offer.choice not in self._tried
+        ]
+        if not good and below == math.inf:
             by = " or ".join(map(repr, self._search.backends))
             self._refuse(min(offer.error for offer in offers), f"by {by}")
-        return min(good, key=lambda offer: offer.seconds)
+        return min(good, key=lambda offer: offer.seconds, default=None)
+
+    def learn(self, done: _Candidate, bound: float) -> None:
+        """Expect of sums of the same kind what the sample says of one."""
+        ratio = max(bound / done.error, _LEAST) if bound < 1.0 else math.inf
+        self._misses[_kind(done.choice)] *= ratio
+        self._tried.add(done.choice)
+
+    def _expected(self, offer: _Candidate) -> _Candidate:
+        return offer._replace(error=self._misses[_kind(offer.choice)] * offer.error)
 
     def _refuse(self, attainable: float, why: str) -> NoReturn:
         raise ToleranceError(
@@ -331,15 +354,18 @@ class _Case:
             f"({why}), got {self._search.tolerance:g}"
         )
 
+    @cached_property
+    def _walks(self) -> list[_Candidate]:
+        """Direct sums and treecodes, with the errors of the model."""
+        return [offer for b in self._search.backends if b in WALKS for offer in self._offers(b)]
+
     def _offers(self, backend: str) -> Iterator[_Candidate]:
-        if backend == "fmm":
-            yield self._multipole()
-        elif backend == "direct":
+        if backend == "direct":
             pairs = self._sources.shape[1] * self._targets.shape[1]
             for precision in PRECISIONS:
                 seconds = self._model.seconds("direct", precision, [pairs])
-                error = self.misses["direct", precision] * self._rounding[precision]
-                yield _Candidate(Choice("direct", precision=precision), seconds, error)
+                choice = Choice("direct", precision=precision)
+                yield _Candidate(choice, seconds, self._rounding[precision])
         else:
             yield from self._treecodes(backend)
 
@@ -367,7 +393,7 @@ class _Case:
                 ]
                 for precision in PRECISIONS:
                     seconds = self._model.seconds(backend, precision, work)
-                    error = self.misses[backend, precision] * (cut_off + self._rounding[precision])
+                    error = cut_off + self._rounding[precision]
                     for row in zip(degrees.tolist(), seconds, error, strict=True):
                         choice = Choice(backend, theta, row[0], leaf_size, precision)
                         yield _Candidate(choice, *row[1:])
@@ -375,18 +401,29 @@ class _Case:
     def _multipole(self) -> _Candidate:
         """Return the fast multipole method at the largest tolerance that should do."""
         for tol in TOLERANCES:
-            error = self._scale * self.misses["fmm", None] * self._model.multipole_error(tol)
-            if error <= self._search.tolerance:
-                multipole = Multipole(self._search.kernel, tol)
-                work = multipole.work(
-                    self._sources, None if self._targets is self._sources else self._targets
-                )
-                seconds = self._model.seconds("fmm", precision_for(tol), work.amounts)
-                building = self._model.building_seconds(tol, work.sizes)
-                seconds += building / self._search.sums
-                choice = Choice("fmm", tol=tol, width=multipole.width)
-                return _Candidate(choice, seconds, error)
-        return _Candidate(Choice("fmm", tol=tol), math.inf, error)
+            error = self._scale * self._model.multipole_error(tol)
+            offer = self._expected(_Candidate(Choice("fmm", tol=tol), math.inf, error))
+            if offer.error <= self._search.tolerance:
+                choice, seconds = self._priced(tol)
+                return offer._replace(choice=choice, seconds=seconds)
+        return offer
+
+    def _priced(self, tol: float) -> tuple[Choice, float]:
+        """Return the fast multipole method with the side of its root, and its seconds."""
+        if tol not in self._prices:
+            multipole = Multipole(self._search.kernel, tol)
+            work = multipole.work(
+                self._sources, None if self._targets is self._sources else self._targets
+            )
+            seconds = self._model.seconds("fmm", precision_for(tol), work.amounts)
+            seconds += self._model.building_seconds(tol, work.sizes) / self._search.sums
+            self._prices[tol] = Choice("fmm", tol=tol, width=multipole.width), seconds
+        return self._prices[tol]
+
+
+def _kind(choice: Choice) -> tuple[str, str | None]:
+    """Return what sums have in common whose errors compare alike with the model."""
+    return choice.backend, choice.precision
 
 
 class Meetings(NamedTuple):
