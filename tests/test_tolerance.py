@@ -203,6 +203,15 @@ def test_room_is_used(monkeypatch):
     assert chosen(10.0, sums=1) != chosen(1.0, sums=1)
 
 
+def test_what_samples_overlook_shows_at_all_targets(monkeypatch):
+    """A plan whose samples see no error tries cheaper sums, and compares them with the first."""
+    points, q = random_sum(4000)
+    tried, bound = [], auto.Search.bound
+    monkeypatch.setattr(auto.Search, "bound", lambda *args: tried.append(bound(*args)) or 0.0)
+    plan = tc.Plan(KERNEL, "kitc", leaf_size=100, tol=1e-4).set_points(points)
+    assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-4 < max(tried)
+
+
 @pytest.mark.interpreted
 @pytest.mark.parametrize("backend", ["auto", "kitc", "taylor"])
 def test_small_enough_to_interpret(monkeypatch, backend):

@@ -177,6 +177,14 @@ def _units(kernel: Kernel) -> np.ndarray:
     return (lengths[:, None] == np.unique(lengths)).astype(float)
 
 
+def _difference(kernel: Kernel, values: np.ndarray, exact: np.ndarray) -> float:
+    """Return the relative difference, the largest of those of columns of one unit."""
+    units = _units(kernel)
+    peak = np.abs(exact).max(initial=0.0) or 1.0
+    squares = (((values - exact) / peak) ** 2 @ units).sum(axis=0)
+    return float(_ratio(squares, ((exact / peak) ** 2 @ units).sum(axis=0)).max())
+
+
 def _direct(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Walk | Multipole:
     done = EXACT.sum(kernel)
     done.set_points(sources.copy(), targets)
@@ -242,6 +250,8 @@ class Search:
             if choice == EXACT:
                 return choice, done, values
             bound = self.bound(done, strengths, values)
+            if kept:  # at all targets, of which a few may carry the error
+                bound = max(bound, _difference(self.kernel, values, kept[2]))
             case.learn(best, bound)
             if bound <= self.tolerance:
                 kept, limit = (choice, done, values), _WORTH * best.seconds * (self.sums > 1)
@@ -313,9 +323,7 @@ class _Case:
         values = done.execute(strengths)
         if not np.isfinite(values).all():  # beyond the range of singles
             return math.inf
-        units = _units(self._search.kernel)
-        squares = ((values - exact) ** 2 @ units).sum(axis=0)
-        return float(_ratio(squares, (exact**2 @ units).sum(axis=0)).max())
+        return _difference(self._search.kernel, values, exact)
 
     def cheapest(self, below: float) -> _Candidate | None:
         """Return the cheapest of what should reach the tolerance and was not tried yet.
