@@ -1,7 +1,7 @@
 """The papers' own programs beside ours: the same points, in turns, one thread.
 
     git clone https://github.com/Treecodes/stokes-treecode
-    python -m benchmarks.published stokes-treecode [--flags=-O2 ...] [--turns 1]
+    python -m benchmarks.published stokes-treecode [--turns 1] [--output FILE]
 
 K example 1 (theta 0.7, n = 7) and T example 2 (theta 0.5, p = 6), N0 = 2000; ours also with what
 keeps E below the 3.17e-5 that K prints. Needs g++. Constants of their programs are set, and they
@@ -13,9 +13,11 @@ the same.
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import subprocess
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ import numpy as np
 
 import treecode as tc
 from benchmarks import sums
-from benchmarks.machine import machine_today
+from benchmarks.machine import machine_today, publish
 from benchmarks.point_sets import CUBE_DENSITY, CUBE_SIDE
 
 LEAF_SIZE = 2000
@@ -135,8 +137,8 @@ def programs(points: int) -> dict[str, Published]:
 
 def compare(
     backend: str, published: Published, code: Path, flags: list[list[str]], turns: int
-) -> None:
-    """Print a row for each program, ours first."""
+) -> Iterator[str]:
+    """Yield a row for each program, ours first."""
     ours = [
         sums.Sum(backend=backend, leaf_size=LEAF_SIZE, **published.case | options)
         for options in published.ours
@@ -158,7 +160,7 @@ def compare(
         seconds = np.array([seconds for seconds, _ in row])
         ratio = np.median(seconds / np.array([s for s, _ in rows[0]]))
         cells = [backend, f"{n:,}", title, f"{np.median(seconds):.3g}", f"{row[-1][1]:.2e}"]
-        print("| " + " | ".join([*cells, f"{ratio:.2f}"]) + " |", flush=True)
+        yield "| " + " | ".join([*cells, f"{ratio:.2f}"]) + " |"
 
 
 def main() -> None:
@@ -168,15 +170,19 @@ def main() -> None:
     parser.add_argument("--points", type=int, help="640,000 and 1,000,000 by default, as they have")
     parser.add_argument("--flags", nargs="+", default=["-O2", "-O3 -march=native -ffast-math"])
     parser.add_argument("--turns", type=int, default=1)
+    parser.add_argument("--output", type=Path, help="a file; the terminal by default")
     options = parser.parse_args()
     numba.set_num_threads(1)
-    print(f"{machine_today()}; medians of {options.turns} turns.\n")
-    print("| sum | N | program | s | E | over the first |")
-    print("|---|---|---|---|---|---|")
+    title, _, *explained = inspect.cleandoc(__doc__ or "").split("\n\n")
+    lines = [f"# {title.rstrip('.')}\n", *explained]
+    lines.append(f"\n{machine_today()}; medians of {options.turns} turns.\n")
+    lines.append("| sum | N | program | s | E | over the first |\n|---|---|---|---|---|---|")
     flags = [flag.split() for flag in options.flags]
     for backend in options.sums:
         points = options.points or {"kitc": 640_000, "taylor": 1_000_000}[backend]
-        compare(backend, programs(points)[backend], options.code, flags, options.turns)
+        published = programs(points)[backend]
+        lines += compare(backend, published, options.code, flags, options.turns)
+    publish(lines, options.output)
 
 
 if __name__ == "__main__":
