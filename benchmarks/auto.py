@@ -1,6 +1,6 @@
 """What backend "auto" takes beside the best of each backend, for the same error.
 
-    python -m benchmarks.auto [--points 1000 10000 80000] [--tol 1e-2 1e-4 ...] [--output FILE]
+    python -m benchmarks.auto [--points 1000 3000 ...] [--tol 1e-2 1e-4 ...] [--output FILE]
 
 Regularized Stokeslets with random forces, one thread. Processor time from points to values, the
 least of several laps in turns: of "direct" a sum at 2000 targets is scaled; of "kitc" and "taylor"
@@ -139,9 +139,14 @@ def row(name: str, n: int, tol: float) -> dict[str, Any]:
     return dict(zip(COLUMNS, map(str, cells), strict=True))
 
 
+def place(row: dict[str, str]) -> tuple[int, str, float]:
+    """Return by what lines are sorted."""
+    return int(row["N"]), row["points"], -float(row["tol"])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--points", type=int, nargs="+", default=[1000, 10_000, 80_000])
+    parser.add_argument("--points", type=int, nargs="+", default=[1000, 3000, 10_000, 80_000])
     parser.add_argument("--tol", type=float, nargs="+", default=[1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
     parser.add_argument("--sets", nargs="+", default=["cube", "sphere", "clustered"])
     parser.add_argument("--rows", type=Path, default=Path("outputs/auto.jsonl"))
@@ -167,7 +172,7 @@ def main() -> None:
         machine_today() + ".\n",
         "| " + " | ".join(COLUMNS) + " |",
         "|---" * len(COLUMNS) + "|",
-        *("| " + " | ".join(r.values()) + " |" for r in rows.values()),
+        *("| " + " | ".join(r.values()) + " |" for r in sorted(rows.values(), key=place)),
         f"\nLargest ratio: {max(float(r['ratio']) for r in rows.values()):.2f}.",
     ]
     publish(lines, options.output)
