@@ -306,7 +306,7 @@ def test_choice_is_repeatable(backend):
 @pytest.mark.parametrize("backend", ["kitc", "taylor"])
 def test_treecode_by_tolerance(backend, theta):
     """What is given stays, the rest is chosen."""
-    points, q = random_sum(4000)
+    points, q = random_sum(12_000)
     plan = tc.Plan(KERNEL, backend, theta=theta, leaf_size=300, tol=1e-4).set_points(points)
     assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-4
     info = plan.info()
