@@ -24,12 +24,9 @@ from typing import Any
 import numba
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-import test_tolerance
-
 import treecode as tc
 from benchmarks.machine import machine_today, publish
+from tests.cases import tolerance
 from treecode import auto
 from treecode.backends.walk import PRECISIONS
 
@@ -48,7 +45,7 @@ class Sum:
 
     def __init__(self, name: str, n: int) -> None:
         rng = np.random.default_rng(0)
-        self.points = test_tolerance.SETS[name](n, rng)
+        self.points = tolerance.SETS[name](n, rng)
         self.forces = rng.standard_normal((n, 3))
         self.drawn = np.random.default_rng(1).permutation(n)[:CHECKED]
         self.exact, seconds = self.lap(tc.Plan(KERNEL, "direct"))
@@ -63,7 +60,7 @@ class Sum:
 
     def error(self, values: np.ndarray) -> float:
         """Return the relative error, as the drawn targets tell."""
-        return test_tolerance.error_at(self.drawn, values, self.exact)
+        return tolerance.error_at(self.drawn, values, self.exact)
 
     def direct(self, tol: float) -> tc.Plan:
         """Return direct sums, in singles if these reach a tolerance."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 import time
 from itertools import product
 from pathlib import Path
@@ -22,12 +21,9 @@ import numba
 import numpy as np
 from scipy.optimize import nnls
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-from test_tolerance import SETS
-
 import treecode as tc
 from benchmarks.sums import no_operators_kept
+from tests.cases.tolerance import SETS
 from treecode import auto
 from treecode.backends.walk import PRECISIONS
 from treecode.fmm import multipole, store

@@ -1,4 +1,4 @@
-"""What is asked at the limits, what happened, and the bound: the cases of tests/test_stability.py.
+"""What is asked at the limits, what happened, and the bound: the cases of tests/cases/stability.py.
 
 python -m benchmarks.stability [--quick] [--output FILE]
 """
@@ -13,13 +13,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.machine import machine_today, publish
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-import test_stability
+from tests.cases import stability
 
 
-def section(case: test_stability.Case, explained: bool) -> Iterator[str]:
+def section(case: stability.Case, explained: bool) -> Iterator[str]:
     """Yield the lines of one case; those of one function are `explained` once."""
     start = time.perf_counter()
     findings = case.findings()
@@ -40,11 +37,11 @@ def main() -> None:
     lines = [
         "# Stability\n",
         "What is asked at the limits, what happened, and the bound. A rounding is 2^-53, theta is",
-        f"{test_stability.THETA} where no other is named.\n",
+        f"{stability.THETA} where no other is named.\n",
         f"{machine_today()}.",
     ]
     functions = []
-    for case in test_stability.CASES:
+    for case in stability.CASES:
         if not (options.quick and case.slow):
             lines += section(case, case.function in functions)
             functions.append(case.function)

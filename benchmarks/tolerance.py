@@ -1,4 +1,4 @@
-"""Errors achieved beside those asked for, of random sums: the cases of tests/test_tolerance.py.
+"""Errors achieved beside those asked for, of random sums: the cases of tests/cases/tolerance.py.
 
     python -m benchmarks.tolerance [--cases 500] [--largest 200000] [--output FILE]
 
@@ -22,11 +22,8 @@ import numba
 import numpy as np
 from tqdm import tqdm
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-
-import test_tolerance
-
 from benchmarks.machine import machine_today, publish
+from tests.cases import tolerance
 
 CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "kernel": lambda row: row["kernel"],
@@ -41,9 +38,9 @@ CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
 def solve(seed: int, largest: int) -> dict[str, Any]:
     """Return one case, what was chosen for it, and the error."""
     numba.set_num_threads(1)
-    case = test_tolerance.Case.draw(seed, largest)
+    case = tolerance.Case.draw(seed, largest)
     start = time.perf_counter()
-    error, plan = test_tolerance.solve(case)
+    error, plan = tolerance.solve(case)
     seconds = time.perf_counter() - start
     return case._asdict() | {"choice": str(plan.choice), "error": error, "seconds": seconds}
 

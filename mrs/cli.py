@@ -11,7 +11,7 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from mrs import runs, scenario
+from mrs import __version__, runs, scenario
 from mrs.rundir import tomllib
 from mrs.scenario import ScenarioError
 from mrs.simulation import Simulation
@@ -57,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     for name, (action, text, arguments) in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")

@@ -21,7 +21,7 @@ from mrs.stepper import Integrator
 from mrs.trackers import Output
 
 FILE_PREFIX = "file_"  # of the module made of a scenario in a file
-PACKAGE = "scenarios"  # where those that come with the project are; found by name, not imported
+PACKAGE = "mrs.scenarios"  # those that come with the project: found by name, not imported
 
 
 class ScenarioError(ValueError):

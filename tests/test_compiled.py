@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import each_kernel
+from tests.cases.oracle import each_kernel
 
 X86 = llvm.get_process_triple().startswith("x86_64")
 ROOT = Path(__file__).parents[1]

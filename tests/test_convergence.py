@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 import treecode as tc
-from oracle import each_kernel, each_treecode, random_case
+from tests.cases.oracle import each_kernel, each_treecode, random_case
 
 DEGREES = {"kitc": range(1, 13), "taylor": range(13)}
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import (
+from tests.cases.oracle import (
     assert_within,
     each_backend,
     each_kernel,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import (
+from tests.cases.oracle import (
     KERNELS,
     assert_within,
     each_kernel,

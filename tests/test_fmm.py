@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from test_degenerate import POINTS
 
 import treecode as tc
-from oracle import each_kernel, exact, random_case, with_epsilon
-from rotne_prager import RotnePrager
+from tests.cases.oracle import each_kernel, exact, random_case, with_epsilon
+from tests.cases.rotne_prager import RotnePrager
+from tests.test_degenerate import POINTS
 from treecode.fmm import multipole, octree, operators, store, symmetry
 from treecode.fmm.symmetry import find_symmetry
 from treecode.threads import Threads

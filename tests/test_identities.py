@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import KERNELS, UNIT, each_backend, each_kernel, random_case, with_epsilon
+from tests.cases.oracle import KERNELS, UNIT, each_backend, each_kernel, random_case, with_epsilon
 
 EPSILON, MU = 1.0, 0.7
 FORCE_TORQUE = tc.RegularizedStokesletRotlet(EPSILON, MU)

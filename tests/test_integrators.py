@@ -5,7 +5,6 @@ import warnings
 
 import numpy as np
 import pytest
-import rod_oracle as oracle
 from scipy.spatial.transform import Rotation
 
 import mrs
@@ -14,6 +13,7 @@ from mrs.integrators import METHODS, Tableau
 from mrs.integrators.runge_kutta import BOGACKI_SHAMPINE, HEUN, RK4, rooted_trees
 from mrs.state import State
 from mrs.stepper import Stepper
+from tests.cases import rod_oracle as oracle
 
 ORDERS = {"euler": 1, "heun": 2, "rkc2": 2, "bs32": 3, "rk4": 4}
 each_method = pytest.mark.parametrize("name", ORDERS)

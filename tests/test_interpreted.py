@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import each_backend, each_kernel, exact, random_case
+from tests.cases.oracle import each_backend, each_kernel, exact, random_case
 
 pytestmark = pytest.mark.interpreted
 

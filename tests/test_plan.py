@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import BACKENDS, each_backend, each_kernel, each_treecode, random_case
+from tests.cases.oracle import BACKENDS, each_backend, each_kernel, each_treecode, random_case
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from oracle import BACKENDS, KERNELS, each_backend, each_kernel, exact, random_case, with_epsilon
+from tests.cases.oracle import (
+    BACKENDS,
+    KERNELS,
+    each_backend,
+    each_kernel,
+    exact,
+    random_case,
+    with_epsilon,
+)
 
 SINGLE = 2.0**-24
 OPTIONS = {"theta": 0.6, "degree": 6, "leaf_size": 100}

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import treecode as tc
-from oracle import BACKENDS, KERNELS, assert_within, exact, rounding, sizes, truncation
+from tests.cases.oracle import BACKENDS, KERNELS, assert_within, exact, rounding, sizes, truncation
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.1)
 POINTS = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 3))

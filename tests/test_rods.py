@@ -5,12 +5,12 @@ import warnings
 
 import numpy as np
 import pytest
-import rod_oracle as oracle
 from scipy.spatial.transform import Rotation
 from scipy.special import kv
 
 import mrs
 from mrs.state import State
+from tests.cases import rod_oracle as oracle
 
 UNIT = 2.0**-53
 Z = np.array([0.0, 0.0, 1.0])

@@ -1,8 +1,8 @@
 """Runs in directories: killed and resumed, stopped, refused; what the command line says."""
 
 import csv
+import inspect
 import json
-import os
 import random
 import subprocess
 import sys
@@ -226,9 +226,9 @@ def test_errors_are_said_without_a_traceback(error, capsys, monkeypatch):
 
 def test_a_scenario_of_ones_own(tmp_path):
     """A copy of a scenario in a file is run, and resumed, by its path."""
-    source = Path(mrs.scenario.find("helical_swimmer").__module__.replace(".", os.sep) + ".py")
+    source = Path(inspect.getfile(mrs.scenario.find("helical_swimmer")))
     mine = tmp_path / "mine.py"
-    mine.write_text((SCENE.parents[1] / source).read_text())
+    mine.write_text(source.read_text())
     run = tmp_path / "run"
     assert cli.main(["run", str(mine), "--quick", "--set", "t_end=0.05", "--output", str(run)]) == 0
     assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 0

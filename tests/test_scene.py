@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import rod_oracle as oracle
 from scipy.spatial.transform import Rotation
 
 import mrs
 import treecode as tc
 from mrs.mobility import Mobility
 from mrs.state import State
+from tests.cases import rod_oracle as oracle
 
 MODULI = {"bending": 0.02, "twisting": 0.03, "shearing": 0.3, "stretching": 0.4}
 A, B = np.array([0.02, 0.02, 0.03]), np.array([0.3, 0.3, 0.4])

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import rod_oracle as oracle
 
 import mrs
+from tests.cases import rod_oracle as oracle
 
 L, F, EPSILON = 1.0, 1.0, 0.1
 U0 = 0.7165921717683815

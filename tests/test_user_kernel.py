@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from rotne_prager import RotnePrager
+from tests.cases import rotne_prager
+from tests.cases.rotne_prager import RotnePrager
 
 RADIUS, VISCOSITY = 0.07, 1.3
 KERNEL = RotnePrager(RADIUS, VISCOSITY)
@@ -68,5 +69,5 @@ def test_taylor_says_what_is_missing():
 
 def test_page_shows_the_tested_file():
     page = Path(__file__).parents[1] / "docs" / "add-a-kernel.md"
-    source = Path(__file__).with_name("rotne_prager.py").read_text()
+    source = Path(rotne_prager.__file__).read_text()
     assert f"```python\n{source}```" in page.read_text()

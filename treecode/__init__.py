@@ -10,6 +10,7 @@ from treecode.kernels import (
 )
 from treecode.kernels.base import Kernel
 from treecode.plan import Plan, evaluate, relative_error
+from treecode.version import __version__
 
 __all__ = [
     "Choice",
@@ -20,6 +21,7 @@ __all__ = [
     "Stokeslet",
     "StokesletStresslet",
     "ToleranceError",
+    "__version__",
     "evaluate",
     "inverse_sqrt",
     "relative_error",

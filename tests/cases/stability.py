@@ -9,12 +9,9 @@ import math
 import warnings
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import pytest
-import rod_oracle
 from scipy.optimize import brentq
 from scipy.sparse.linalg import LinearOperator, eigs
 from scipy.spatial.transform import Rotation
@@ -23,9 +20,18 @@ from scipy.special import kv
 import mrs
 import treecode as tc
 from mrs.integrators import METHODS
-from oracle import BACKENDS, KERNELS, UNIT, exact, random_case, rounding, sizes, with_epsilon
+from tests.cases import rod_oracle
+from tests.cases.oracle import (
+    BACKENDS,
+    KERNELS,
+    UNIT,
+    exact,
+    random_case,
+    rounding,
+    sizes,
+    with_epsilon,
+)
 
-TABLE = Path(__file__).parents[1] / "docs" / "stability.md"
 DEGREES = {"direct": 1, "kitc": 4, "taylor": 6}
 SUMS = [*BACKENDS, "fmm"]
 TOLERANCE = 1e-2  # of "fmm", in singles but for singular kernels
@@ -1012,23 +1018,4 @@ def _height(sim):
     return np.ptp(sim.state.positions[:, 2])
 
 
-# --- tests ----------------------------------------------------------------------------------
-
 CASES.sort(key=lambda c: int(c.title.partition(".")[0]))
-
-
-@pytest.mark.parametrize(
-    "asked", [pytest.param(c, id=c.name, marks=[pytest.mark.slow] * c.slow) for c in CASES]
-)
-def test_case(asked):
-    findings = asked.findings()
-    assert findings
-    assert not [str(finding) for finding in findings if not finding.holds()]
-
-
-def test_table_is_of_these_cases():
-    """Each has its section in docs/stability.md, in this order, and all that was found holds."""
-    table = TABLE.read_text()
-    headings = [line.removeprefix("## ") for line in table.splitlines() if line.startswith("## ")]
-    assert headings == [c.heading for c in CASES]
-    assert "**" not in table

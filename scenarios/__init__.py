@@ -1,1 +1,0 @@
-"""Scenes that run: one module each, to read and to copy."""

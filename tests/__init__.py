@@ -1,0 +1,1 @@
+"""Tests, a package so that benchmarks import `tests.cases` as they do."""
