@@ -1,5 +1,6 @@
 """Fast summation of the kernels of Stokes flow: direct, kernel-independent and Taylor treecodes."""
 
+from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
 from treecode.auto import Choice, ToleranceError
@@ -23,6 +24,7 @@ __all__ = [
     "StokesletStresslet",
     "ToleranceError",
     "__version__",
+    "cache",
     "erf",
     "evaluate",
     "exp",

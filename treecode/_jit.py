@@ -13,24 +13,21 @@ their work. numba's own threads stay alive and do not survive a fork.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import pickle
 import platform
 import sys
 import time
-import warnings
 from collections.abc import Callable
-from functools import cache
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, BinaryIO
-from uuid import uuid4
+from typing import Any
 
 import llvmlite
 import numba
 import numpy as np
-import platformdirs
 from llvmlite import ir
 from numba import types
 from numba.core.caching import NullCache
@@ -41,6 +38,7 @@ from numba.core.serialize import dumps
 from numba.extending import intrinsic, overload
 from numba.np import arrayobj
 
+from treecode import cache
 from treecode._fingerprint import code_of, fingerprint
 from treecode._mistakes import explain
 
@@ -72,7 +70,7 @@ def free_at_fork(lock: Any) -> None:
 free_at_fork(global_compiler_lock)
 
 
-@cache
+@functools.cache
 def _package_hash() -> str:
     """Hash of every source file, and of who compiles them."""
     digest = hashlib.sha256()
@@ -81,47 +79,6 @@ def _package_hash() -> str:
     versions = numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag
     digest.update(repr(versions).encode())
     return digest.hexdigest()
-
-
-def cache_folder() -> Path | None:
-    """Return where compiled code and operators are kept; None where there is no place for them.
-
-    That is ``NUMBA_CACHE_DIR`` if it is set, else a folder of the user's.
-    """
-    root = _CONFIG.CACHE_DIR or platformdirs.user_cache_dir("treecode", appauthor=False)
-    # A user without a home is given a folder "~".
-    return None if str(root).startswith("~") else Path(root)
-
-
-def write_cache(path: Path, write: Callable[[BinaryIO], object]) -> None:
-    """Let `write` fill a file, whole or not at all; where that fails say so, and go on."""
-    temporary = path.with_name(f"{path.name}.{uuid4().hex}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            with temporary.open("xb") as file:
-                write(file)
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
-    except OSError as error:
-        _warn_uncached(error.strerror or str(error))
-
-
-_warned: set[Path | None] = set()
-
-
-def _warn_uncached(reason: str) -> None:
-    """Say, once for each cache folder, that nothing is kept there."""
-    folder = cache_folder()
-    if folder not in _warned:
-        _warned.add(folder)
-        warnings.warn(
-            f"cannot keep compiled code in {folder or 'a cache folder'} ({reason}): every process "
-            "compiles it again; set NUMBA_CACHE_DIR to a folder that can be written",
-            RuntimeWarning,
-            stacklevel=2,
-        )
 
 
 class _Cache(NullCache):
@@ -139,7 +96,7 @@ class _Cache(NullCache):
 
     @property
     def cache_path(self) -> str | None:
-        folder = cache_folder()
+        folder = cache.folder()
         return str(folder / self._key[:16]) if folder else None
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
@@ -155,13 +112,16 @@ class _Cache(NullCache):
         """Return a compiled version; None if there is none, or a damaged one."""
         target_context.refresh()
         path = self._path(signature, target_context.codegen())
+        if path is None:
+            return None
         try:
-            data = path.read_bytes() if path else b""
+            data = path.read_bytes()
             if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
                 return None
             result = CompileResult._rebuild(target_context, *pickle.loads(data[_CHECK:]))
         except Exception:  # whatever unpickling raises
             return None
+        cache.mark_used(path)
         return result if result.signature.args == tuple(signature) else None
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -169,11 +129,12 @@ class _Cache(NullCache):
         path = self._path(signature, result.codegen)
         if path is None:
             if self.cache_path is None:
-                _warn_uncached("there is no home folder")
+                cache.warn("there is no home folder")
             return
         if not result.library.has_dynamic_globals:
             data = dumps(result._reduce())
-            write_cache(path, lambda file: file.write(hashlib.sha256(data).digest() + data))
+            cache.write(path, lambda file: file.write(hashlib.sha256(data).digest() + data))
+            cache.prune_compiled()
 
 
 def _cached(function: Callable, key: str | None) -> Any:
@@ -219,7 +180,7 @@ class Driver:
             raise TypeError(explain(kernel, str(error))) from None
 
 
-@cache
+@functools.cache
 def kernel_key(kernel_class: type) -> str | None:
     """Return the name of a kernel's cache folder, or None if it cannot be cached."""
     module, name = kernel_class.__module__, kernel_class.__qualname__

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import threading
 from collections import OrderedDict
 from pathlib import Path
@@ -11,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from treecode import cache
 from treecode._fingerprint import fingerprint
-from treecode._jit import cache_folder, free_at_fork, kernel_key, write_cache
+from treecode._jit import free_at_fork, kernel_key
 from treecode.fmm.operators import Level, build_level
 from treecode.kernels.base import Kernel
 
@@ -26,8 +25,8 @@ free_at_fork(_lock)
 
 def folder() -> Path | None:
     """Return where operators are kept; None if nowhere."""
-    base = cache_folder()
-    return base and base / "operators"
+    base = cache.folder()
+    return base and base / cache.OPERATORS
 
 
 def get_level(
@@ -81,8 +80,7 @@ def _read(path: Path) -> Level | None:
                     fields[name] = tuple(file[f"{name}_{i}"] for i in range(count))
     except Exception:  # whatever the damage leads to
         return None
-    with contextlib.suppress(OSError):  # of another owner, perhaps
-        os.utime(path)  # used now: the oldest go first
+    cache.mark_used(path)
     return Level(**fields)
 
 
@@ -95,16 +93,5 @@ def _write(path: Path, operators: Level) -> None:
             arrays.update({f"{name}_{i}": array for i, array in enumerate(value)})
         else:
             arrays[name] = np.asarray(value)
-    write_cache(path, lambda file: np.savez(file, **arrays))
-    with contextlib.suppress(OSError):  # another process may delete some as well
-        _delete_oldest(path.parent)
-
-
-def _delete_oldest(where: Path) -> None:
-    levels = sorted(where.glob("*.npz"), key=lambda level: level.stat().st_mtime)
-    total = sum(level.stat().st_size for level in levels)
-    for oldest in levels[:-1]:
-        if total <= DISK_BYTES:
-            break
-        total -= oldest.stat().st_size
-        oldest.unlink(missing_ok=True)
+    cache.write(path, lambda file: np.savez(file, **arrays))
+    cache.delete_oldest(path.parent.iterdir(), DISK_BYTES)
