@@ -24,12 +24,17 @@ class Centerline(NamedTuple):
     def moved(self, shift: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> Centerline:
         """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
         turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
+        if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
+            raise TypeError(
+                f"rotation must be one scipy.spatial.transform.Rotation, got {rotation!r}"
+            )
         quaternions = rotations.multiply(turn.as_quat(), self.quaternions)
         return Centerline(
             turn.apply(self.nodes) + check.vector("shift", shift), quaternions, self.closed
         )
 
 
+@check.spelling
 def straight(
     length: float, nodes: int, *, origin: Any = (0, 0, 0), direction: Any = (0, 0, 1)
 ) -> Centerline:
@@ -41,6 +46,7 @@ def straight(
     return Centerline(line, triads).moved(origin, _turn_from_z(direction))
 
 
+@check.spelling
 def helix(
     radius: float,
     pitch: float,
@@ -73,6 +79,7 @@ def helix(
     check.positive("length", length)
     check.integer("nodes", nodes, 2)
     check.one_of("handedness", handedness, ("right", "left"))
+    check.number("phase", phase, -np.inf, np.inf)
     z = np.linspace(0.0, length, nodes)
     k = (2.0 if handedness == "right" else -2.0) * np.pi / pitch
     angle = k * z + phase
@@ -87,6 +94,7 @@ def helix(
     )
 
 
+@check.spelling
 def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 0)) -> Centerline:
     """Return a closed circle in the x-y plane, its triads turned `twist` radians in one round.
 
@@ -95,6 +103,7 @@ def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 
     """
     check.positive("radius", radius)
     check.integer("nodes", nodes, 3)
+    check.number("twist", twist, -np.inf, np.inf)
     angle = 2.0 * np.pi * np.arange(nodes) / nodes
     outward = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(nodes)])
     tangents = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(nodes)])
@@ -104,6 +113,7 @@ def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 
     return Centerline(radius * outward + check.vector("origin", origin), triads, closed=True)
 
 
+@check.spelling
 def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0)) -> Centerline:
     """Return the shape that a rod of constant intrinsic strain takes: exact discrete equilibrium.
 
