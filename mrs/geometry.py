@@ -41,6 +41,7 @@ def straight(
     """Return a straight rod of `nodes` nodes from `origin` along `direction`."""
     check.positive("length", length)
     check.integer("nodes", nodes, 2)
+    check.vector("origin", origin)
     line = np.linspace(0.0, length, nodes)[:, None] * np.array([0.0, 0.0, 1.0])
     triads = np.tile(rotations.IDENTITY, (nodes, 1))
     return Centerline(line, triads).moved(origin, _turn_from_z(direction))
@@ -80,6 +81,7 @@ def helix(
     check.integer("nodes", nodes, 2)
     check.one_of("handedness", handedness, ("right", "left"))
     check.number("phase", phase, -np.inf, np.inf)
+    check.vector("origin", origin)
     z = np.linspace(0.0, length, nodes)
     k = (2.0 if handedness == "right" else -2.0) * np.pi / pitch
     angle = k * z + phase
@@ -133,6 +135,7 @@ def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0))
     strain = check.vector("strain", strain)
     check.positive("spacing", spacing)
     check.integer("nodes", nodes, 2)
+    check.vector("origin", origin)
     rate = np.linalg.norm(strain)
     if 0.5 * rate * spacing >= 1.0:
         raise ValueError(f"spacing: {spacing} is too long; at most {2 / rate:.3g} for this strain")

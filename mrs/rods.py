@@ -429,4 +429,5 @@ def _transverse(name: str, value: Any, count: int) -> np.ndarray:
             f"{name} must be a number, or have shape ({count},) for one number a rod, or (1, 2) or "
             f"({count}, 2) for rows [D1, D2], got shape {array.shape}"
         )
-    return check.broadcast(name, columns, (count, 2), 0.0)
+    check.broadcast(name, array, array.shape, 0.0)
+    return np.array(np.broadcast_to(columns, (count, 2)), np.float64)

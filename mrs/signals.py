@@ -1,0 +1,76 @@
+"""Signals that stop a run: ctrl-C, and those that batch queues and closed terminals send."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
+_STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+CTRL_C = int(signal.SIGINT)
+_ONE_WISH = 1.0  # seconds in which several signals are one: a terminal and a parent send the same
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal has asked to stop."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.number = number
+
+
+class Stopping:
+    """What the signals do: raise `Stopped`; once held, wait."""
+
+    def __init__(self) -> None:
+        self.waiting: int | None = None
+        self._held = False
+        self._raised = -_ONE_WISH
+
+    def hold(self) -> None:
+        """Let no signal interrupt what follows."""
+        self._held = True
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        now = time.monotonic()
+        if self._held:
+            self.waiting = number
+            os.write(2, b"\nstopping; the last files are being written\n")
+        elif now - self._raised >= _ONE_WISH:
+            self._raised = now
+            raise Stopped(number)
+
+
+@contextmanager
+def stopping() -> Iterator[Stopping]:
+    """Let signals raise `Stopped` here instead of ending the process.
+
+    Handlers of the user's own, and signals that are ignored (nohup), are left alone, and so is
+    everything outside the main thread, where Python handles no signals. One that came while they
+    were held raises at the end, unless an error is on its way already.
+    """
+    handler = Stopping()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: old for n in _STOPPING if _is_default(old := signal.getsignal(n))}
+    try:
+        for number in before:
+            signal.signal(number, handler)
+        yield handler
+    finally:
+        handler.hold()
+        for number, old in before.items():
+            signal.signal(number, old)
+    if handler.waiting is not None:
+        raise Stopped(handler.waiting)
+
+
+def _is_default(handler: object) -> bool:
+    ours = isinstance(handler, Stopping)
+    return ours or handler in (signal.SIG_DFL, signal.default_int_handler)
