@@ -112,7 +112,7 @@ def instances(name: str, values: Any, kind: type) -> tuple[Any, ...]:
     """Return `values`, any number of `kind`, as a tuple."""
     if isinstance(values, kind) or not isinstance(values, Iterable):
         raise TypeError(
-            f"{name} must be a list of mrs.{kind.__name__}, with brackets also around a single one, "
+            f"{name} must be a list of mrs.{kind.__name__}, in brackets also a single one, "
             f"got {_short.repr(values)}"
         )
     return tuple(instance(f"{name}[{i}]", value, kind) for i, value in enumerate(values))
@@ -187,7 +187,7 @@ def spelling(what: _Called) -> _Called:
 
     Python 3.13 does so by itself.
     """
-    function = what.__init__ if isinstance(what, type) else what
+    function = what.__init__ if isinstance(what, type) else what  # type: ignore[misc]
     names = [name for name in inspect.signature(function).parameters if name != "self"]
 
     @functools.wraps(function)

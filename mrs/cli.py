@@ -25,10 +25,22 @@ examples:
   mrs resume outputs/pullers                       goes on from the last checkpoint
   mrs render outputs/pullers --output movie.mp4
 
-exit status: 0 done, also when stopped by --max-walltime; 1 refused, failed, or the checked number is
-FAILED; 2 not a command; 128 + number of the signal when stopped by ctrl-C or another signal
+exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the checked number FAILED;
+2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
 _READER_GONE = 141  # as shells report a program that SIGPIPE ends
+# What is said in a line. Other errors are the program's own, and their tracebacks are wanted.
+_TOLD = (
+    ArithmeticError,
+    EOFError,
+    ImportError,
+    IndexError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -53,12 +65,6 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
 
 
-_TOLD = (
-    ArithmeticError, EOFError, ImportError, IndexError, MemoryError, OSError, RuntimeError, TypeError,
-    ValueError,
-)  # fmt: skip
-
-
 def _said(error: BaseException) -> str:
     text = str(error) or type(error).__name__
     return f"not enough memory: {text}" if isinstance(error, MemoryError) else text
@@ -67,7 +73,7 @@ def _said(error: BaseException) -> str:
 def _reader_is_gone() -> bool:
     """Return whether what reads the output, such as `head`, has ended; then print no more."""
     try:
-        sys.stdout.flush()
+        print(flush=True)  # what broke may be another pipe, such as that to the encoder of a film
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return True
@@ -164,8 +170,7 @@ def _print_options(scene: scenario.Scenario) -> None:
 
 
 def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
-    """Say what a run has come to; return whether its checked number is right, if it is at its end.
-    """
+    """Say what a run has come to; return False if it is at its end with a wrong number."""
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "

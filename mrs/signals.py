@@ -25,26 +25,47 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stopping:
-    """What the signals do: raise `Stopped`; once held, wait."""
+    """What the signals do: raise `Stopped`, at once or when a file is written to its end.
+
+    `asked` is the first that came. What a handler raises can be lost (in a callback of the garbage
+    collector Python prints it and goes on), so whoever has time looks there as well.
+    """
 
     def __init__(self) -> None:
-        self.waiting: int | None = None
-        self._held = False
-        self._raised = -_ONE_WISH
+        self.asked: int | None = None
+        self._writing = self._held = False
+        self._last = -_ONE_WISH
 
     def hold(self) -> None:
         """Let no signal interrupt what follows."""
         self._held = True
 
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Let the first signal wait for the end; a second one, a while later, does not."""
+        self._writing = True
+        try:
+            yield
+        finally:
+            self._writing = False
+        self.check()
+
+    def check(self) -> None:
+        """Raise `Stopped` if that was asked for."""
+        if self.asked is not None:
+            raise Stopped(self.asked)
+
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
-        now = time.monotonic()
+        first, now = self.asked is None, time.monotonic()
+        if first:
+            self.asked = number
         if self._held:
-            self.waiting = number
             os.write(2, b"\nstopping; the last files are being written\n")
-        elif now - self._raised >= _ONE_WISH:
-            self._raised = now
-            raise Stopped(number)
+        elif first or now - self._last >= _ONE_WISH:
+            self._last = now
+            if not (first and self._writing):
+                raise Stopped(number)
 
 
 @contextmanager
@@ -52,8 +73,8 @@ def stopping() -> Iterator[Stopping]:
     """Let signals raise `Stopped` here instead of ending the process.
 
     Handlers of the user's own, and signals that are ignored (nohup), are left alone, and so is
-    everything outside the main thread, where Python handles no signals. One that came while they
-    were held raises at the end, unless an error is on its way already.
+    everything outside the main thread, where Python handles no signals. One that has not stopped
+    anything yet raises at the end, unless an error is on its way already.
     """
     handler = Stopping()
     before = {}
@@ -67,8 +88,7 @@ def stopping() -> Iterator[Stopping]:
         handler.hold()
         for number, old in before.items():
             signal.signal(number, old)
-    if handler.waiting is not None:
-        raise Stopped(handler.waiting)
+    handler.check()
 
 
 def _is_default(handler: object) -> bool:

@@ -543,7 +543,7 @@ class Simulation:
         begun: list[Tracker] = []
         try:
             try:
-                self._go(max_walltime, begun)
+                self._go(max_walltime, begun, stopping)
             finally:
                 stopping.hold()  # before anything is finalized, whatever ends the loop
         except BaseException:
@@ -553,7 +553,9 @@ class Simulation:
         for failure in self._finalize(begun):
             raise failure
 
-    def _go(self, max_walltime: float | None, begun: list[Tracker]) -> None:
+    def _go(
+        self, max_walltime: float | None, begun: list[Tracker], stopping: signals.Stopping
+    ) -> None:
         """Begin with all trackers, which go to `begun`, and step until the end."""
         start = clock.monotonic()
         with self.profile.stage("output"):
@@ -563,7 +565,7 @@ class Simulation:
         while self.time < self.t_end:
             before = self.time
             self.step(next_stop(self.trackers, before, self.t_end))
-            with self.profile.stage("output"):
+            with self.profile.stage("output"), stopping.writing():
                 for tracker in self.trackers:
                     if tracker.due(before, self.time) or self.time >= self.t_end:
                         tracker.handle(self)

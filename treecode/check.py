@@ -12,9 +12,7 @@ LARGEST_COORDINATE = 1e60
 SMALLEST_PARAMETER, LARGEST_PARAMETER = 1e-60, 1e60
 
 
-def number(
-    name: str, value: Any, low: float, high: float, *, low_inclusive: bool = False
-) -> float:
+def number(name: str, value: Any, low: float, high: float, *, low_inclusive: bool = False) -> float:
     """Return `value` as a float between `low` and `high`, which is `low` only if that is said."""
     least = f"{low:g} (inclusive)" if low_inclusive else f"{low:g}"
     allowed = f"{name} must be a number between {least} and {high:g} (exclusive), got {value!r}"
