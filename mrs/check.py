@@ -15,6 +15,7 @@ import numpy as np
 from treecode.check import LARGEST_COORDINATE, integer, number, one_of, points, positive, rows
 
 __all__ = [
+    "FunctionError",
     "broadcast",
     "computable",
     "direction",
@@ -39,6 +40,11 @@ __all__ = [
 ]
 
 _Called = TypeVar("_Called", bound=Callable[..., Any])
+
+
+class FunctionError(ValueError):
+    """What a user's function gives cannot be used."""
+
 
 _short = reprlib.Repr()
 _short.maxstring = _short.maxother = 80
@@ -145,14 +151,18 @@ def vectors(name: str, value: Any, count: int, where: Callable[[int], str]) -> n
     count : int
     where : callable
         Says of a row which place and time it belongs to.
+
+    Raises
+    ------
+    FunctionError
     """
     array = np.asarray(real(name, value), float)
     if array.shape not in ((3,), (count, 3)):
-        raise ValueError(f"{name} must give shape (3,) or ({count}, 3), got {array.shape}")
+        raise FunctionError(f"{name} must give shape (3,) or ({count}, 3), got {array.shape}")
     array = np.broadcast_to(array, (count, 3))
     if not np.isfinite(array).all():
         row = int(np.argmin(np.isfinite(array).all(axis=1)))
-        raise ValueError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
+        raise FunctionError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
     return array
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
@@ -56,17 +56,17 @@ class Fluid:
                 f"mrs.flows.UserFlow(function), got {flow!r}"
             )
 
-    def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
-        """Return the background's velocity at points, (N, 3)."""
-        return self._checked("velocity", points, time)
+    def flow(
+        self,
+        what: str,
+        points: np.ndarray,
+        time: float,
+        name: Callable[[int], str] = "row {}".format,
+    ) -> np.ndarray:
+        """Return the background's "velocity" or "vorticity" at points, (N, 3); `name` names one."""
 
-    def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
-        """Return the background's vorticity at points, (N, 3)."""
-        return self._checked("vorticity", points, time)
-
-    def _checked(self, what: str, points: np.ndarray, time: float) -> np.ndarray:
         def where(row: int) -> str:
-            return f"at the point {points[row]} and time {time:g}"
+            return f"at {name(row)}, {points[row]}, and time {time:g}"
 
         value = getattr(self.background, what)(points, time)
         return check.vectors(f"background {what}", value, len(points), where)
@@ -276,9 +276,9 @@ class Simulation:
         motion = self._sum(points, loads)
         if self.fluid.background is not None:
             with self.profile.stage("background"):
-                motion[:, :3] += self.fluid.velocity(points, time)
+                motion[:, :3] += self.fluid.flow("velocity", points, time, self._node)
                 if self._width == 6:
-                    motion[:, 3:] += 0.5 * self.fluid.vorticity(points, time)
+                    motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, self._node)
         return Evaluation(time, state, points, loads, motion, self._rates(time, state, motion))
 
     def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
@@ -365,7 +365,7 @@ class Simulation:
             time, sources, loads = now.time, now.points, now.loads
         velocity = self.mobility.velocity(sources, loads[:, : self._width], points)
         if self.fluid.background is not None:
-            velocity += self.fluid.velocity(points, time)
+            velocity += self.fluid.flow("velocity", points, time)
         return velocity
 
     # --- storage -------------------------------------------------------------------------------
@@ -454,7 +454,7 @@ class Simulation:
                 f"{self.integrator.tolerance:g}; allow a larger one, or look for forces, "
                 "lengths or times out of scale"
             )
-        if isinstance(error, FloatingPointError):
+        if isinstance(error, (FloatingPointError, check.FunctionError)):
             return SimulationError(f"at time {self.time:g}: {error}")
         return error
 
@@ -480,6 +480,11 @@ class Simulation:
                     f"{self._place()}"
                 )
         raise AssertionError(row)
+
+    def _node(self, row: int) -> str:
+        """Name a point."""
+        part = next(part for part in self._parts if part.points.start <= row < part.points.stop)
+        return f"node {row - part.points.start} of {part.body.name!r}"
 
     def _place(self) -> str:
         """Say where the run is, and what to do about steps that are too long."""
@@ -507,7 +512,8 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If the state would not be finite. The last good state is in the checkpoint.
+            If the state, or what a user's function gives, would not be finite. The last good state
+            is in the checkpoint.
         KeyboardInterrupt
             After ctrl-C, or a signal that would end the process (SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
             SIGXCPU), with a checkpoint written, which further signals do not interrupt. A script
