@@ -25,6 +25,7 @@ _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and
 _LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Integrator:
     """How time is stepped.
@@ -47,6 +48,14 @@ class Integrator:
     name: str = "rkc2"
     dt: float | Literal["auto"] = "auto"
     tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check.one_of("name", self.name, METHODS)
+        if isinstance(self.dt, str) and self.dt != "auto":
+            raise ValueError(f"dt must be 'auto' or a positive number, got {self.dt!r}")
+        if self.dt != "auto":
+            check.positive("dt", self.dt)
+        check.number("tolerance", self.tolerance, 0.0, 1.0)
 
 
 class Problem(Protocol):
@@ -77,10 +86,9 @@ class Stepper:
     """Advances a state, one accepted step at a time."""
 
     def __init__(self, integrator: Integrator) -> None:
-        check.one_of("integrator", integrator.name, METHODS)
-        self.tolerance = check.number("tolerance", integrator.tolerance, 0.0, 1.0)
+        self.tolerance = integrator.tolerance
         self.method = METHODS[integrator.name]
-        self.fixed = None if integrator.dt == "auto" else check.positive("dt", integrator.dt)
+        self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
         self.h: float | None = None
         self.taken = 0.0

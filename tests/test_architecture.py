@@ -61,6 +61,7 @@ ALLOWED = {
     "mrs.rotations": set(),
     "mrs.state": {"mrs.rotations"},
     "mrs.profile": set(),
+    "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
     "mrs.bodies": {"mrs.state"},
@@ -79,9 +80,9 @@ ALLOWED = {
     },
     "mrs.simulation": {
         "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.profile", "mrs.rundir",
-        "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
-    "mrs.scenario": {"mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
+    "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs.scenarios": set(),  # found by name
     "mrs": {"mrs", "treecode.version"},
     "scenarios": {"mrs"},

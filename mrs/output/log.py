@@ -6,6 +6,7 @@ import csv
 import io
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +73,10 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
     return left[-1][0] if left else None
 
 
-def last(path: str | os.PathLike[str]) -> dict[str, str]:
+def last(path: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the last complete row by column; empty if there is none.
+
+    Numbers are numbers again, and None is where nothing was.
 
     Parameters
     ----------
@@ -82,4 +85,11 @@ def last(path: str | os.PathLike[str]) -> dict[str, str]:
     path = Path(path)
     text = path.read_text(encoding="utf-8") if path.exists() else ""
     rows = list(csv.DictReader(text[: text.rfind("\n") + 1].splitlines()))
-    return rows[-1] if rows else {}
+    return {name: _value(text) for name, text in rows[-1].items()} if rows else {}
+
+
+def _value(text: str) -> Any:
+    for kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
+    return text or None
