@@ -16,6 +16,7 @@ from treecode.check import LARGEST_COORDINATE, integer, number, one_of, points, 
 
 __all__ = [
     "FunctionError",
+    "NotFiniteValueError",
     "broadcast",
     "computable",
     "direction",
@@ -44,6 +45,10 @@ _Called = TypeVar("_Called", bound=Callable[..., Any])
 
 class FunctionError(ValueError):
     """What a user's function gives cannot be used."""
+
+
+class NotFiniteValueError(FunctionError):
+    """It gave something that is not finite, as it may where a step that is too long has led."""
 
 
 _short = reprlib.Repr()
@@ -162,7 +167,7 @@ def vectors(name: str, value: Any, count: int, where: Callable[[int], str]) -> n
     array = np.broadcast_to(array, (count, 3))
     if not np.isfinite(array).all():
         row = int(np.argmin(np.isfinite(array).all(axis=1)))
-        raise FunctionError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
+        raise NotFiniteValueError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
     return array
 
 

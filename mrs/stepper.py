@@ -130,9 +130,17 @@ class Stepper:
         z = state.coordinates()
 
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
+        blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
+
+        def local_rates(t: float, z: np.ndarray) -> np.ndarray:
+            return state.local_rates(z, problem.rates(t, state.moved(z)))
 
         def f(t: float, z: np.ndarray) -> np.ndarray:
-            values = state.local_rates(z, problem.rates(t, state.moved(z)))
+            try:
+                values = local_rates(t, z)
+            except check.NotFiniteValueError as error:
+                blamed.append(error)
+                values = np.full_like(z, np.nan)
             lost.extend(_not_finite(values)[: 1 - len(lost)])
             return values
 
@@ -141,10 +149,11 @@ class Stepper:
         while True:
             if retried or self.steps >= self._renew_at:
                 small = _filled(problem.perturbation, _SMALL * z, _SMALL * interval * rates)
-                self._estimate_radius(lambda y: f(time, y), z, rates, small)
+                self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
             lost.clear()
+            blamed.clear()
             new, error = self.method.step(
                 f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
             )
@@ -152,7 +161,8 @@ class Stepper:
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 break
-            self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
+            lost.extend(_not_finite(new)[: 1 - len(lost)])
+            self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
             retried = True
         self.steps += 1
         if self.adaptive:
@@ -209,13 +219,14 @@ class Stepper:
         ratio = float(np.abs(error / scale).max(initial=0.0)) / self.tolerance
         return ratio if math.isfinite(ratio) else math.inf
 
-    def _reject(self, h: float, ratio: float, interval: float, lost: list[int]) -> None:
+    def _reject(self, h: float, ratio: float, interval: float, causes: list[Exception]) -> None:
+        """Shorten the step; where that is of no use raise the first of the causes."""
         if not self.adaptive:
-            raise NotFiniteError(lost[0])
+            raise causes[0]
         self.rejections += 1
         self.h = self._next(h, ratio, h)
         if self.h < _SMALLEST * interval:
-            raise NotFiniteError(lost[0]) if lost else StepSizeError(h)
+            raise causes[0] if causes else StepSizeError(h)
 
     def _next(self, h: float, ratio: float, largest: float) -> float:
         """Return the next step to try, of size `largest` at most (elementary controller)."""

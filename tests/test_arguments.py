@@ -361,3 +361,29 @@ def test_a_checked_number_says_what_its_tolerance_is_of():
     assert re.search(
         r"expected 0 to 1e-12 \(absolute\): FAILED", str(mrs.Check("f", 1.0, 0, 1e-12))
     )
+
+
+def circling(limit):
+    """Return a flow that turns about z, a thousand radians per time, and is lost beyond a limit."""
+
+    def velocity(points, time):
+        turning = 1e3 * np.column_stack([-points[:, 1], points[:, 0], 0.0 * points[:, 2]])
+        lost = (np.linalg.norm(points[:, :2], axis=1) > limit[0]) | (time > limit[1])
+        return np.where(lost[:, None], np.nan, turning)
+
+    tracers = mrs.Tracers([[1.0, 0.0, 0.0], [0.0, 0.0, 1e3]])
+    fluid = mrs.Fluid(background=mrs.flows.UserFlow(velocity))
+    return mrs.Simulation(fluid, [tracers], integrator=mrs.Integrator("bs32", tolerance=0.5))
+
+
+def test_a_function_that_a_long_step_leads_too_far_is_met_by_shorter_steps():
+    sim = circling((5.0, np.inf)).run(0.1)
+    assert sim.stepper.rejections > 0
+    assert np.linalg.norm(sim.state.positions[0, :2]) <= 5.0
+
+
+def test_a_function_is_named_where_no_step_is_short_enough():
+    sim = circling((np.inf, 0.05))
+    with pytest.raises(mrs.SimulationError, match=r"at time 0\.0\d+: .*velocity must give finite"):
+        sim.run(0.1)
+    assert sim.time == pytest.approx(0.05, rel=1e-6)
