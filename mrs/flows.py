@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrs import check
 
@@ -40,7 +41,12 @@ class QuadraticFlow:
         If the flow is not free of divergence.
     """
 
-    def __init__(self, gradient: Any = None, quadratic: Any = None, constant: Any = None) -> None:
+    def __init__(
+        self,
+        gradient: ArrayLike | None = None,
+        quadratic: ArrayLike | None = None,
+        constant: ArrayLike | None = None,
+    ) -> None:
         self.constant = _zero_or("constant", constant, (3,))
         self.gradient = _zero_or("gradient", gradient, (3, 3))
         quadratic = _zero_or("quadratic", quadratic, (3, 3, 3))

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 
@@ -21,7 +22,11 @@ class Centerline(NamedTuple):
     closed: bool = False
     """Whether a last segment joins the last node to the first."""
 
-    def moved(self, shift: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> Centerline:
+    def moved(
+        self,
+        shift: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: scipy.spatial.transform.Rotation | None = None,
+    ) -> Centerline:
         """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
         turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
         if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
@@ -36,7 +41,7 @@ class Centerline(NamedTuple):
 
 @check.spelling
 def straight(
-    length: float, nodes: int, *, origin: Any = (0, 0, 0), direction: Any = (0, 0, 1)
+    length: float, nodes: int, *, origin: ArrayLike = (0, 0, 0), direction: ArrayLike = (0, 0, 1)
 ) -> Centerline:
     """Return a straight rod of `nodes` nodes from `origin` along `direction`."""
     check.positive("length", length)
@@ -56,8 +61,8 @@ def helix(
     *,
     handedness: Literal["right", "left"] = "right",
     phase: float = 0.0,
-    origin: Any = (0, 0, 0),
-    direction: Any = (0, 0, 1),
+    origin: ArrayLike = (0, 0, 0),
+    direction: ArrayLike = (0, 0, 1),
 ) -> Centerline:
     """Return a helix, (R cos kz, R sin kz, z) with k = 2 pi / pitch for direction z (K 8.2).
 
@@ -97,7 +102,9 @@ def helix(
 
 
 @check.spelling
-def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 0)) -> Centerline:
+def ring(
+    radius: float, nodes: int, *, twist: float = 0.0, origin: ArrayLike = (0, 0, 0)
+) -> Centerline:
     """Return a closed circle in the x-y plane, its triads turned `twist` radians in one round.
 
     A `twist` that is not a multiple of 2 pi is concentrated in the last segment as it would be by
@@ -116,7 +123,9 @@ def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 
 
 
 @check.spelling
-def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0)) -> Centerline:
+def at_rest(
+    strain: ArrayLike, spacing: float, nodes: int, *, origin: ArrayLike = (0, 0, 0)
+) -> Centerline:
     """Return the shape that a rod of constant intrinsic strain takes: exact discrete equilibrium.
 
     Each segment turns by ``2 asin(|strain| spacing / 2)`` about the strain, and its length is along
@@ -148,7 +157,7 @@ def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0))
     return Centerline(points, triads).moved(origin)
 
 
-def array(centerline: Centerline, origins: Any) -> list[Centerline]:
+def array(centerline: Centerline, origins: ArrayLike) -> list[Centerline]:
     """Return one copy of `centerline` at each of `origins`, (n, 3)."""
     return [centerline.moved(origin) for origin in check.rows("origins", origins, 3)]
 
@@ -181,7 +190,7 @@ def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
     ).as_quat()
 
 
-def _turn_from_z(direction: Any) -> scipy.spatial.transform.Rotation:
+def _turn_from_z(direction: ArrayLike) -> scipy.spatial.transform.Rotation:
     """Return the shortest rotation that takes z to `direction`."""
     unit = check.direction("direction", direction)
     if unit[2] < -1.0 + 1e-12:

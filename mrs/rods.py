@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 from mrs.bodies import Body
@@ -149,16 +150,16 @@ class Rods(Body):
         self,
         centerlines: Centerline | Sequence[Centerline],
         *,
-        bending: Any,
-        twisting: Any,
-        shearing: Any,
-        stretching: Any,
-        intrinsic_curvature: Any = "initial",
+        bending: ArrayLike,
+        twisting: ArrayLike,
+        shearing: ArrayLike,
+        stretching: ArrayLike,
+        intrinsic_curvature: ArrayLike | Strain = "initial",
         beat: Strain | None = None,
-        delay: Any = 0.0,
-        base: str | Drive = "free",
+        delay: ArrayLike = 0.0,
+        base: Literal["free", "clamped"] | Drive = "free",
         epsilon: float | None = None,
-        radius: Any = None,
+        radius: ArrayLike | None = None,
         name: str = "rods",
     ) -> None:
         rods = [centerlines] if isinstance(centerlines, Centerline) else list(centerlines)

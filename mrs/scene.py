@@ -21,6 +21,7 @@ from contextlib import contextmanager
 from typing import Annotated, Any, Literal, Union
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from mrs import flows, geometry
@@ -55,11 +56,17 @@ def _call(
     fields: dict[str, Any] = {} if kind is None else {"kind": (Literal[kind], ...)}
     for name, parameter in inspect.signature(function).parameters.items():
         default = ... if parameter.default is parameter.empty else parameter.default
-        fields[name] = (instead.pop(name, hints[name]), default)
+        fields[name] = (instead.pop(name, _data(hints[name])), default)
         if isinstance(fields[name][0], tuple):
             fields[name] = fields[name][0]
     fields.pop(leave_out, None)
     return create_model(kind or function.__name__, __base__=_Call, **(fields | instead))
+
+
+def _data(hint: Any) -> Any:
+    """Return what pydantic looks for: of arrays nothing, which the function itself checks."""
+    is_array = set(typing.get_args(ArrayLike)) <= set(typing.get_args(hint))
+    return Any if is_array else hint
 
 
 def _one_of(*functions: Callable) -> Any:

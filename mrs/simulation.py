@@ -11,6 +11,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrs import check, rundir, signals
 from mrs.bodies import Body
@@ -345,7 +346,7 @@ class Simulation:
 
     def velocity(
         self,
-        points: Any,
+        points: ArrayLike,
         time: float | None = None,
         sources: np.ndarray | None = None,
         loads: np.ndarray | None = None,

@@ -7,10 +7,12 @@ collapse.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable
+from typing import Any, Literal
 
 import numpy as np
 import scipy
+from numpy.typing import ArrayLike
 
 from mrs import check, geometry, rotations
 from mrs.bodies import Body
@@ -53,15 +55,15 @@ class Swimmers(Body):
 
     def __init__(
         self,
-        positions: Any,
-        orientations: Any,
+        positions: ArrayLike,
+        orientations: ArrayLike,
         *,
-        length: Any,
-        force: Any,
-        stroke: str = "pusher",
-        epsilon: Any = None,
-        flagellum_epsilon: Any = None,
-        radius: Any = None,
+        length: ArrayLike,
+        force: ArrayLike,
+        stroke: Literal["pusher", "puller"] = "pusher",
+        epsilon: ArrayLike | None = None,
+        flagellum_epsilon: ArrayLike | None = None,
+        radius: ArrayLike | None = None,
         name: str = "swimmers",
     ) -> None:
         self.name = check.file_name("name", name)
@@ -164,7 +166,7 @@ def _orient(along: np.ndarray) -> np.ndarray:
 
 @check.spelling
 def random_suspension(
-    count: int, size: Any, spacing: float, *, reach: float = 0.0, seed: int = 0
+    count: int, size: ArrayLike, spacing: float, *, reach: float = 0.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return random positions and orientations in a box, no two bodies closer than `spacing`.
 
@@ -227,7 +229,7 @@ def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @check.spelling
 def lattice_suspension(
-    shape: Any, spacing: float, *, direction: Any = None, seed: int = 0
+    shape: Iterable[int], spacing: float, *, direction: ArrayLike | None = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions on a cubic lattice centred at the origin, with orientations.
 

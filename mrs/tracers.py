@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from mrs import check
 from mrs.bodies import Body
@@ -25,7 +26,7 @@ class Tracers(Body):
     kind = "tracers"
     has_force = False
 
-    def __init__(self, positions: Any, *, name: str = "tracers") -> None:
+    def __init__(self, positions: ArrayLike, *, name: str = "tracers") -> None:
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         self.quaternions = np.empty((0, 4))
