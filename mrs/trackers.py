@@ -15,6 +15,7 @@ from tqdm import tqdm
 from mrs import check, rundir
 from mrs.output import checkpoint, live, log, paraview, vtkhdf
 from mrs.output.atomic import replacing
+from mrs.stored import fluid_meta
 
 if TYPE_CHECKING:
     from mrs.bodies import Body
@@ -162,11 +163,10 @@ class Trajectories(_BodyFiles):
         for body in sim.bodies:
             if self._path(body).exists():
                 continue
-            at_points, at_cells = body.constant_fields(sim.body_epsilons(body))
-            meta = {"kind": body.kind, **rundir.versions(), **_META}
-            vtkhdf.create(
-                self._path(body), vtkhdf.Topology(*body.topology()), at_points, at_cells, meta
-            )
+            fluid = sim.fluid.viscosity, sim.fluid.background, sim.backend.tolerance
+            meta = {"kind": body.kind, **rundir.versions(), **_META, **fluid_meta(*fluid)}
+            topology = vtkhdf.Topology(*body.topology())
+            vtkhdf.create(self._path(body), topology, *sim.constant_fields(body), meta)
         paraview.write_macro(self.directory)
 
     def write(self, sim: Simulation) -> None:
@@ -190,14 +190,14 @@ class Live(_BodyFiles):
 
     def write(self, sim: Simulation) -> None:
         for body in sim.bodies:
-            points, at_points, at_cells = sim.frame(body)
+            points, *varying = sim.frame(body)
+            pairs = zip(sim.constant_fields(body), varying, strict=True)
             live.append(
                 self._path(body),
                 sim.time,
                 vtkhdf.Topology(*body.topology()),
                 points,
-                at_points,
-                at_cells,
+                *(constant | changing for constant, changing in pairs),
             )
 
 
