@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 
 from mrs.output.atomic import replacing
+from mrs.output.hdf5 import File
 
 
 def save(
@@ -38,7 +39,7 @@ def save(
     content = {name: np.asarray(array) for name, array in arrays.items()}
     text = json.dumps(attributes, default=_plain)
     with replacing(path) as temporary:
-        with h5py.File(temporary, "w", libver="earliest") as file:
+        with File(temporary, "w") as file:
             file["attributes"] = text
             file.attrs["sha256"] = _digest(content, text)
             group = file.create_group("arrays")
@@ -102,7 +103,7 @@ def _is_intact(path: Path) -> bool:
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    with h5py.File(path, "r", locking=False) as file:
+    with File(path, "r") as file:
         text = file["attributes"][()].decode()
         arrays: dict[str, np.ndarray] = {}
 
