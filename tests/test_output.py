@@ -482,12 +482,12 @@ def test_log(tmp_path):
     with path.open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["t"]) for row in rows] == times
-    assert log.last(path) == {"step": "4", "t": "0.4", "note": "a,b"}
+    assert log.last(path) == {"step": 4, "t": 0.4, "note": "a,b"}
     with pytest.raises(ValueError, match="columns"):
         log.append(path, {"step": 5})
     with path.open("a") as file:
         file.write("5,0.5")  # killed while writing
-    assert log.last(path)["step"] == "4"
+    assert log.last(path)["step"] == 4
     assert log.cut(path, times[3]) == times[3]
     log.append(path, {"step": 4, "t": 0.45, "note": ""})
     assert path.read_text().splitlines()[-2:] == [f'3,{times[3]!r},"a,b"', "4,0.45,"]
