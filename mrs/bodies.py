@@ -24,7 +24,7 @@ class Body:
     positions, quaternions : ndarray
         The state at time zero.
     length_scale : float
-        Errors of positions are judged against it.
+        Errors of positions are judged against it; 0 for points that have no length.
     """
 
     kind: str
@@ -57,6 +57,10 @@ class Body:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return velocities of the positions, (n, 3), and angular velocities, (m, 3)."""
         raise NotImplementedError
+
+    def pieces(self) -> np.ndarray:
+        """Return for each position the number of its connected piece, (n,); all one by default."""
+        return np.zeros(len(self.positions), np.int64)
 
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for each point the number of its connected piece, its place, the piece's round.

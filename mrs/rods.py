@@ -315,6 +315,10 @@ class Rods(Body):
         """Return the blob size at each node, (nodes,)."""
         return np.full(len(self.positions), default if self.epsilon is None else self.epsilon)
 
+    def pieces(self) -> np.ndarray:
+        """Return the rod of each node, (nodes,)."""
+        return self.rod_of_node
+
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rods, arclengths of the nodes, and the lengths of closed rods."""
         rounds = np.where(self.closed, self.lengths, np.inf)

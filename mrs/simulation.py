@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time as clock
+import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -19,7 +20,7 @@ from mrs.profile import Profile
 from mrs.state import State
 from mrs.stepper import Integrator, NotFiniteError, Stepper, StepSizeError
 from mrs.steric import Steric
-from mrs.trackers import Output, Tracker, standard_trackers
+from mrs.trackers import Output, Tracker, next_stop, standard_trackers
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
@@ -135,7 +136,10 @@ class Simulation:
         self._assemble()
         self.stepper = Stepper(self.integrator)
         self.output = output
-        self.trackers = [*standard_trackers(output), *trackers]
+        self.trackers = [
+            *standard_trackers(output),
+            *(check.instance("trackers", tracker, Tracker) for tracker in trackers),
+        ]
         self.resumed = False
 
     def _assemble(self) -> None:
@@ -194,10 +198,15 @@ class Simulation:
         return epsilons
 
     def _scale(self, epsilons: np.ndarray) -> None:
-        """Set the units of errors, and of perturbations, of the local coordinates."""
+        """Set the units of errors, and of perturbations, of the local coordinates.
+
+        Points without a length of their own take the smallest of the others'; in a scene without
+        any length the unit is 0, and the stepper takes one from the motion.
+        """
         turns = np.ones(len(self.state.quaternions))
-        lengths = [np.full(len(b.positions), b.length_scale or 1.0) for b in self.bodies]
-        largest = max((b.length_scale for b in self.bodies), default=1.0) or 1.0
+        known = [body.length_scale for body in self.bodies if body.length_scale > 0.0]
+        least, largest = min(known, default=0.0), max(known, default=0.0)
+        lengths = [np.full(len(b.positions), b.length_scale or least) for b in self.bodies]
         smallest = np.full(len(self.state.positions), epsilons.min(initial=largest))
         self.error_scale = np.concatenate([*lengths, turns])[:, None]
         self.perturbation = _PERTURBATION * np.concatenate([smallest, turns])[:, None]
@@ -377,11 +386,34 @@ class Simulation:
             ignoring = np.errstate(over="ignore", invalid="ignore")
             with self.profile.stage("integrator"), ignoring:
                 time, state = self.stepper.step(self, self.time, self.state, stop)
+            self._require_sound(state)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = self._explained(error)
             self.stepper.restore(*before)
             raise told from None
         self.time, self.state = time, state
+
+    def _require_sound(self, state: State) -> None:
+        """Refuse a step that tears a body apart: frames of it would show nothing but the tearing.
+
+        A node is compared with the mean motion of its piece, since a whole rod may be carried far.
+        """
+        moved = state.positions - self.state.positions
+        for part in self._parts:
+            own, length = moved[part.positions], part.body.length_scale
+            if not part.body.has_force or np.abs(own).max(initial=0.0) <= 0.5 * length:
+                continue
+            pieces = part.body.pieces()
+            count = np.bincount(pieces)[:, None]
+            mean = np.column_stack([np.bincount(pieces, column) for column in own.T]) / count
+            distance = np.linalg.norm(own - mean[pieces], axis=1)
+            node = int(np.argmax(distance))
+            if distance[node] > length:
+                raise SimulationError(
+                    f"node {node} of {part.body.name!r} would move by "
+                    f"{distance[node] / length:.3g} lengths of its body in the step "
+                    f"{self._place()}"
+                )
 
     def _explained(self, error: BaseException) -> BaseException:
         """Return what to tell the user."""
@@ -415,12 +447,18 @@ class Simulation:
                 what = "triad"
             if first <= row < last:
                 return (
-                    f"the {what} of node {row - first} of {part.body.name!r} is not finite after "
-                    f"time {self.time:g} (step {self.stepper.steps}, dt {self.stepper.taken:g}, "
-                    f"dt x lambda_max {self.stepper.h_lambda:.3g}); use a smaller dt, dt='auto' or "
-                    "the integrator 'rkc2'"
+                    f"the {what} of node {row - first} of {part.body.name!r} is not finite "
+                    f"{self._place()}"
                 )
         raise AssertionError(row)
+
+    def _place(self) -> str:
+        """Say where the run is, and what to do about steps that are too long."""
+        return (
+            f"after time {self.time:g} (step {self.stepper.steps}, dt {self.stepper.taken:g}, "
+            f"dt x lambda_max {self.stepper.h_lambda:.3g}); use a smaller dt, dt='auto' or "
+            "the integrator 'rkc2'"
+        )
 
     def run(self, t_end: float, *, max_walltime: float | None = None) -> Simulation:
         """Go on to time `t_end`.
@@ -446,6 +484,9 @@ class Simulation:
         self.t_end = check.number("t_end", t_end, 0.0, 1e300)
         if t_end < self.time:
             raise ValueError(f"t_end must be at least the present time {self.time:g}, got {t_end}")
+        for tracker in self.trackers:
+            if tracker.interval is not None:
+                check.positive(f"{type(tracker).__name__}.interval", tracker.interval)
         with ExitStack() as stack:
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
@@ -465,27 +506,41 @@ class Simulation:
 
     def _run(self, max_walltime: float | None) -> None:
         start = clock.monotonic()
-        begun = []
+        begun: list[Tracker] = []
         try:
             with self.profile.stage("output"):
                 for tracker in self.trackers:
                     begun.append(tracker)
                     tracker.initialize(self)
             while self.time < self.t_end:
-                stop = min(
-                    [self.t_end, *(tracker.next_time(self.time) for tracker in self.trackers)]
-                )
-                self.step(stop)
+                before = self.time
+                self.step(next_stop(self.trackers, before, self.t_end))
                 with self.profile.stage("output"):
                     for tracker in self.trackers:
-                        tracker.handle(self)
+                        if tracker.due(before, self.time) or self.time >= self.t_end:
+                            tracker.handle(self)
                 if max_walltime is not None and clock.monotonic() - start >= max_walltime:
                     break
-        finally:
-            with self.profile.stage("output"):
-                for tracker in begun:
+        except BaseException:
+            for failure in self._finalize(begun):
+                warnings.warn(str(failure), stacklevel=3)
+            raise
+        for failure in self._finalize(begun):
+            raise failure
+
+    def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
+        """Let all trackers end their work; return what failed, which does not stop the others."""
+        failures = []
+        with self.profile.stage("output"):
+            for tracker in trackers:
+                try:
                     tracker.finalize(self)
-            self.resumed = True  # a second call goes on
+                except Exception as error:
+                    failure = SimulationError(f"{type(tracker).__name__}.finalize: {error}")
+                    failure.__cause__ = error
+                    failures.append(failure)
+        self.resumed = True  # a second call goes on
+        return failures
 
 
 def _slices(sizes: Iterable[int]) -> list[slice]:

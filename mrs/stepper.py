@@ -21,6 +21,7 @@ _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: length
 _WARNING = 1.02  # as `_MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
+_SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
 _LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
@@ -36,8 +37,9 @@ class Integrator:
         with the others from the stability limit and so that nothing moves by more than a tenth of
         its length.
     tolerance : float, optional
-        Error of one step allowed with "auto": of positions relative to the length of their body, of
-        triads in radians.
+        Error of one step allowed with "auto": of positions relative to the length of their body,
+        of points in a scene without any length relative to their way in the step, of triads in
+        radians.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -51,9 +53,9 @@ class Problem(Protocol):
     """What is to be integrated."""
 
     error_scale: np.ndarray
-    """Unit of errors, (P + Q, 1)."""
+    """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
     perturbation: np.ndarray
-    """A small displacement of each coordinate, (P + Q, 1)."""
+    """A small displacement of each coordinate, (P + Q, 1); 0 likewise."""
 
     def rates(self, time: float, state: State) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3)."""
@@ -130,14 +132,16 @@ class Stepper:
         retried = False
         while True:
             if retried or self.steps >= self._renew_at:
-                self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
+                small = _filled(problem.perturbation, _SMALL * z, _SMALL * interval * rates)
+                self._estimate_radius(lambda y: f(time, y), z, rates, small)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
             lost.clear()
             new, error = self.method.step(
                 f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
             )
-            ratio = self._error_ratio(new, error, problem.error_scale)
+            unit = _filled(problem.error_scale, new - z, h * rates)
+            ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 break
             self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
@@ -158,14 +162,24 @@ class Stepper:
             self.h = self.fixed
             self._warn(limit * _MARGIN / _WARNING)
         elif not self.adaptive:
-            self.h = min(_SAFETY * limit, _time_to_move(_LARGEST_MOVE, rates / scale))
+            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates, scale))
         elif self.h is None:
             first = 0.1 * math.sqrt(self.tolerance)
-            self.h = min(interval, _time_to_move(first, rates / scale))
+            self.h = min(interval, self._time_to_move(first, rates, scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
             wanted = max(wanted, 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - _LONGER)))
+
+    def _time_to_move(self, distance: float, rates: np.ndarray, scale: np.ndarray) -> float:
+        """Return when something has moved by `distance` lengths.
+
+        Without a length it is the one over which velocities change, speed over spectral radius.
+        """
+        known = scale[:, 0] > 0.0
+        speeds = np.abs(rates[known] / scale[known]).max(initial=0.0)
+        speed = max(float(speeds), 0.0 if known.all() else self.radius)
+        return distance / speed if speed > 0.0 else math.inf
 
     def _warn(self, limit: float) -> None:
         assert self.fixed is not None
@@ -209,9 +223,13 @@ class Stepper:
         self._renew_at = self.steps + _RENEW
 
 
-def _time_to_move(distance: float, rates: np.ndarray) -> float:
-    speed = float(np.abs(rates).max(initial=0.0))
-    return distance / speed if speed > 0.0 else math.inf
+def _filled(scale: np.ndarray, *displacements: np.ndarray) -> np.ndarray:
+    """Return `scale`, and where it is 0 the largest of the displacements there."""
+    without = scale[:, 0] == 0.0
+    if not without.any():
+        return scale
+    largest = max(float(np.abs(moved[without]).max()) for moved in displacements)
+    return np.where(scale == 0.0, largest or 1.0, scale)  # nothing moves: any unit will do
 
 
 def _not_finite(values: np.ndarray) -> list[int]:

@@ -119,6 +119,10 @@ class Swimmers(Body):
         other = own if self._flagellum_epsilon is None else self._flagellum_epsilon
         return np.concatenate([own, other])
 
+    def pieces(self) -> np.ndarray:
+        """Return the swimmers' numbers, (n,)."""
+        return np.arange(len(self.positions))
+
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the swimmers' numbers; the two particles of one do not touch each other."""
         count = len(self.positions)

@@ -1,10 +1,10 @@
-"""What watches a run: each tracker says at which times it wants to be called."""
+"""Trackers watch a run; each is called at the multiples of its interval of simulated time."""
 
 from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -43,36 +43,54 @@ class Output(NamedTuple):
     live: bool = False
 
 
+# Of an interval, by which a time may miss a multiple and still count as that multiple: 3 * 0.1 is
+# not 0.3, and the end of a run is what the user typed.
+_ROUNDING = 1e-9
+
+
 class Tracker:
-    """Called at multiples of `interval` in simulated time; after every step if that is None."""
+    """Called at the multiples of `interval` in simulated time, and at the end of a run.
+
+    With an interval of None it is called after every step.
+    """
 
     interval: float | None = None
 
     def initialize(self, sim: Simulation) -> None:
         """Begin; `sim.resumed` says whether an earlier run goes on."""
 
+    def count(self, time: float) -> int:
+        """Return how many intervals are over at `time`: times are counted, not compared."""
+        assert self.interval is not None
+        intervals = time / self.interval
+        return math.floor(intervals + max(_ROUNDING, 4.0 * np.finfo(float).eps * intervals))
+
     def next_time(self, time: float) -> float:
         """Return the next time that a step must not pass."""
-        if self.interval is None:
-            return math.inf
-        count = math.floor(time / self.interval)
-        while count * self.interval <= time:
-            count += 1
-        return count * self.interval
+        return math.inf if self.interval is None else (self.count(time) + 1) * self.interval
 
-    def due(self, time: float) -> bool:
-        """Return whether `time` is one that `next_time` has returned, or zero."""
-        return self.interval is None or round(time / self.interval) * self.interval == time
+    def due(self, before: float, time: float) -> bool:
+        """Return whether a step from `before` to `time` ends an interval."""
+        return self.interval is None or self.count(time) > self.count(before)
 
     def handle(self, sim: Simulation) -> None:
-        """Called after every step."""
+        """Called when due, and at the end of the run."""
 
     def finalize(self, sim: Simulation) -> None:
-        """Called at the end, also after an error or ctrl-C."""
+        """Called when the run stops, also after an error or ctrl-C."""
+
+
+def next_stop(trackers: Iterable[Tracker], time: float, t_end: float) -> float:
+    """Return the time up to which steps may go: the end, or before it when a tracker is due.
+
+    Times that differ by rounding are one, so that no step is a rounding error long.
+    """
+    stop = min((tracker.next_time(time) for tracker in trackers), default=math.inf)
+    return t_end if t_end - stop <= _ROUNDING * (t_end - time) else stop
 
 
 class _Frames(Tracker):
-    """Writes at multiples of the interval, the start included, each once also over resumes."""
+    """Writes the start, the multiples of the interval and the end, each once also over resumes."""
 
     interval: float
 
@@ -82,12 +100,14 @@ class _Frames(Tracker):
 
     def initialize(self, sim: Simulation) -> None:
         self.create(sim)
-        if self.cut(sim) != sim.time and self.due(sim.time):
+        if self.cut(sim) != sim.time and (self._at_multiple(sim.time) or sim.time >= sim.t_end):
             self.write(sim)
 
     def handle(self, sim: Simulation) -> None:
-        if self.due(sim.time):
-            self.write(sim)
+        self.write(sim)
+
+    def _at_multiple(self, time: float) -> bool:
+        return abs(time - self.count(time) * self.interval) <= _ROUNDING * self.interval
 
     def create(self, sim: Simulation) -> None:
         """Make the files that are missing."""
@@ -192,7 +212,7 @@ class Log(_Frames):
     def write(self, sim: Simulation) -> None:
         now = sim.evaluate(sim.time, sim.state)
         error: float | str = ""
-        if round(sim.time / self.interval) % self._SAMPLE_EVERY == 0:
+        if self.count(sim.time) % self._SAMPLE_EVERY == 0:
             with sim.profile.stage("error samples"):
                 error = sim.mobility.sampled_error(now.points, now.loads)
         row = {

@@ -476,9 +476,9 @@ def test_a_run_that_blows_up():
     sim = small_rod(8, mrs.Integrator("euler", 5.0), 0.1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        with pytest.raises(mrs.SimulationError, match=r"of node \d of 'rods' .* after time \d+"):
+        with pytest.raises(mrs.SimulationError, match=r"node \d of 'rods' .* after time \d+"):
             sim.run(1e5)
-    assert np.isfinite(sim.state.positions).all()
+    assert np.ptp(sim.state.positions, axis=0).max() < 3.0, "the last sound state is kept"
 
 
 @pytest.mark.parametrize("dt", [1e12, "auto"])

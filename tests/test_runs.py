@@ -140,10 +140,10 @@ def test_interrupt_leaves_a_checkpoint(tmp_path):
     np.testing.assert_array_equal(arrays["positions"], sim.state.positions)
 
 
-def test_frames_are_at_multiples_of_the_interval(tmp_path):
+def test_frames_are_at_multiples_of_the_interval_and_at_the_end(tmp_path):
     assert cli.main(swim(tmp_path / "r", 0.52)) == 0
     with vtkhdf.Trajectory(tmp_path / "r" / "flagellum.vtkhdf") as file:
-        np.testing.assert_array_equal(file.times, 0.05 * np.arange(11))
+        np.testing.assert_array_equal(file.times, [*(0.05 * np.arange(11)), 0.52])
 
 
 def test_a_run_is_not_overwritten(tmp_path, capsys):
