@@ -83,7 +83,7 @@ def _size(text: str) -> tuple[int, int]:
 def _run(options: argparse.Namespace) -> None:
     name = options.scene
     values: dict[str, Any] = {}
-    if name.endswith(".toml"):
+    if name.lower().endswith(".toml"):
         name, values = runs.read_input(name)
     for item in options.set:
         _assign(values, item)
@@ -141,7 +141,11 @@ def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> None:
 
 def _resume(options: argparse.Namespace) -> None:
     sim = runs.resume(
-        options.directory, options.t_end, _trackers(options), max_walltime=options.max_walltime
+        options.directory,
+        options.t_end,
+        _trackers(options),
+        max_walltime=options.max_walltime,
+        renew_files=options.renew_files,
     )
     _report(sim, runs.scenario_of(options.directory), options.directory)
 
@@ -247,6 +251,11 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         {
             **_DIRECTORY,
             "--t-end": {"type": float, "help": "a new end of simulated time"},
+            "--renew-files": {
+                "action": "store_true",
+                "help": "begin files anew that are missing, damaged or of another scene; "
+                "damaged ones are kept beside",
+            },
             **_GOING,
         },
     ),

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,6 +142,7 @@ class Simulation:
             *(check.instance("trackers", tracker, Tracker) for tracker in trackers),
         ]
         self.resumed = False
+        self.written: dict[str, float] = {}  # the last time in each file of the run directory
 
     def _assemble(self) -> None:
         """Lay the bodies out in flat arrays."""
@@ -345,7 +347,12 @@ class Simulation:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
         arrays, history = self.stepper.history()
         arrays = {f"integrator/{name}": array for name, array in arrays.items()}
-        values = {"time": self.time, "integrator": history, "backends": self.mobility.history()}
+        values = {
+            "time": self.time,
+            "integrator": history,
+            "backends": self.mobility.history(),
+            "written": dict(self.written),
+        }
         return arrays | self.state._asdict(), values
 
     def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
@@ -363,6 +370,7 @@ class Simulation:
                     f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}"
                 )
         self.time, self.state, self.resumed = values["time"], state, True
+        self.written = dict(values["written"])
         prefix = "integrator/"
         own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
         self.stepper.restore(own, values["integrator"])
@@ -460,7 +468,9 @@ class Simulation:
             "the integrator 'rkc2'"
         )
 
-    def run(self, t_end: float, *, max_walltime: float | None = None) -> Simulation:
+    def run(
+        self, t_end: float, *, max_walltime: float | None = None, renew_files: bool = False
+    ) -> Simulation:
         """Go on to time `t_end`.
 
         Parameters
@@ -468,6 +478,9 @@ class Simulation:
         t_end : float
         max_walltime : float, optional
             Seconds after which the run stops in good order, before `t_end`.
+        renew_files : bool, optional
+            When an earlier run goes on: begin anew those of its files that are missing, cut short
+            or of another scene, instead of refusing to go on. What was there is kept beside.
 
         Returns
         -------
@@ -477,7 +490,10 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If the state would not be finite. The last good state is in the checkpoint.
+            If the state would not be finite; the last good state is in the checkpoint. If a file
+            of the run that goes on is missing or damaged; nothing is changed then.
+        FileExistsError
+            If the directory holds a run, or a file of a name that the run would write.
         KeyboardInterrupt
             After ctrl-C, with a checkpoint written.
         """
@@ -490,19 +506,42 @@ class Simulation:
         with ExitStack() as stack:
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
-                self._enter(self.output, stack)
+                self._enter(self.output, renew_files, stack)
             self._run(max_walltime)
         return self
 
-    def _enter(self, output: Output, stack: ExitStack) -> None:
+    def _enter(self, output: Output, renew_files: bool, stack: ExitStack) -> None:
         """Take the run directory."""
-        if not self.resumed:
-            rundir.require_free(output.directory, overwrite=output.overwrite)
-        stack.enter_context(rundir.held(output.directory))
+        directory = Path(output.directory)
+        stack.enter_context(rundir.held(directory))
+        files = [file for tracker in self.trackers for file in tracker.output_files(self)]
         if self.resumed:
-            rundir.extend(output.directory, self.t_end)
+            self._require_whole_files(directory, renew_files)
+            rundir.extend(directory, self.t_end, files)
         else:
-            rundir.begin(output.directory, self.recipe, self.t_end)
+            self.written.clear()
+            rundir.begin(
+                directory, self.recipe, self.t_end, files, overwrite=output.overwrite
+            )
+            stack.callback(rundir.discard_unstarted, directory)
+
+    def _require_whole_files(self, directory: Path, renew_files: bool) -> None:
+        """Look at all files before any of them is touched."""
+        damaged: dict[Path, str] = {}
+        for tracker in self.trackers:
+            damaged |= tracker.damaged_files(self)
+        if damaged and not renew_files:
+            lines = [f"{path} {fault}" for path, fault in damaged.items()]
+            raise SimulationError(
+                f"the run cannot go on from t = {self.time:g}; nothing was changed\n  "
+                + "\n  ".join(lines)
+                + "\nput back what is missing or wrong, or let it begin anew from here with "
+                f"`mrs resume {directory} --renew-files` (run(..., renew_files=True)); damaged "
+                "files are then kept beside the new ones"
+            )
+        for path in damaged:
+            rundir.set_aside(path)
+            self.written.pop(path.name, None)
 
     def _run(self, max_walltime: float | None) -> None:
         start = clock.monotonic()

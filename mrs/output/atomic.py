@@ -15,6 +15,20 @@ class WriteError(OSError):
     """A file could not be written; the message names it and says what to do."""
 
 
+class DamagedError(ValueError):
+    """A file that is cut short, damaged, or not what it should be.
+
+    Attributes
+    ----------
+    reason : str
+        What is wrong: the message without the file's name, and without the remedy.
+    """
+
+    def __init__(self, path: Path, reason: str, remedy: str = "") -> None:
+        super().__init__(f"{path} {reason}{remedy}")
+        self.reason = reason
+
+
 @contextmanager
 def telling(path: Path) -> Iterator[None]:
     """Say which file it was if a write fails, and what to do if the disk is full.

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, replacing
 from mrs.output.hdf5 import File
 
 
@@ -46,7 +46,7 @@ def save(
             for name, array in content.items():
                 group[name] = array
         if _is_intact(path):  # a damaged one must not take the place of a good one before it
-            with replacing(_previous(path)) as spare:
+            with replacing(previous(path)) as spare:
                 shutil.copyfile(path, spare)
 
 
@@ -74,23 +74,26 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
     """
     path = Path(path)
     problems = []
-    for candidate in (path, _previous(path)):
+    for candidate in (path, previous(path)):
         try:
             content = _read(candidate)
         except FileNotFoundError:
             problems.append(f"{candidate} is missing")
+        except DamagedError as error:
+            problems.append(str(error))
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             problems.append(f"{candidate} is damaged ({error})")
         else:
             if problems:
                 warnings.warn(f"{problems[0]}; reading {candidate}", stacklevel=2)
             return content
-    if path.exists() or _previous(path).exists():
+    if path.exists() or previous(path).exists():
         raise ValueError(f"no intact checkpoint: {'; '.join(problems)}")
     raise FileNotFoundError(f"no checkpoint {path}")
 
 
-def _previous(path: Path) -> Path:
+def previous(path: Path) -> Path:
+    """Return the name of the checkpoint before the one called `path`."""
     return path.with_suffix(f".previous{path.suffix}")
 
 

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import h5py
 
+from mrs.output.atomic import DamagedError
+
 _MODES = {"r": "rb", "r+": "rb+", "w": "wb+"}
 
 
@@ -28,7 +30,7 @@ class File(h5py.File):
     ------
     FileNotFoundError
         If there is no such file to read.
-    ValueError
+    DamagedError
         If it is cut short, or no HDF5 file.
     OSError
         From `sync` and `close`: the first write that failed.
@@ -41,7 +43,8 @@ class File(h5py.File):
         except (OSError, RuntimeError) as error:
             self._bytes.close()
             self._raise_failure()
-            raise ValueError(f"{path} is damaged, cut short or no HDF5 file ({error})") from None
+            reason = f"is cut short, damaged or no HDF5 file ({error})"
+            raise DamagedError(path, reason) from None
 
     def sync(self) -> None:
         """Wait until all that was written is on the disk."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from numpy.typing import ArrayLike
 
+from mrs.output.atomic import DamagedError
 from mrs.output.vtkhdf import Topology
 from mrs.output.vtp import polydata, read_pvd, write_pvd, write_vtp
 
@@ -55,33 +57,41 @@ def next_frame(path: Path) -> Path:
     return path.parent / path.stem / f"{number:06d}.vtp"
 
 
-def times(path: Path) -> list[float]:
+def times(path: Path, points: int) -> list[float]:
     """Return the times of the frames.
 
     Parameters
     ----------
     path : Path
         Of the list.
+    points : int
+        How many a frame must have.
 
     Raises
     ------
-    ValueError
-        If the list is damaged, or a frame in it is missing or cut short.
+    DamagedError
+        If the list is damaged, or if a frame in it is missing, cut short or of another body.
     """
     files = read_pvd(path)
     for _, name in files:
         frame = path.parent / name
         if not frame.is_file():
-            raise ValueError(f"{path}: its frame {name} is missing")
-        if not _ends_well(frame):
-            raise ValueError(f"{path}: its frame {name} is cut short")
+            raise DamagedError(path, f"lists {name}, which is missing")
+        found = _points(frame)
+        if found is None:
+            raise DamagedError(path, f"lists {name}, which is cut short or damaged")
+        if found != points:
+            raise DamagedError(path, f"is of another scene: {name} has {found} points, not {points}")
     return [time for time, _ in files]
 
 
-def _ends_well(frame: Path) -> bool:
+def _points(frame: Path) -> int | None:
+    """Return how many points a frame has; None if it does not end as it should."""
     with frame.open("rb") as file:
+        number = re.search(rb'NumberOfPoints="(\d+)"', file.read(4096))
         file.seek(-min(frame.stat().st_size, 64), os.SEEK_END)
-        return file.read().rstrip().endswith(b"</VTKFile>")
+        whole = file.read().rstrip().endswith(b"</VTKFile>")
+    return int(number[1]) if number and whole else None
 
 
 def cut(path: str | os.PathLike[str], time: float) -> float | None:

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mrs.output.atomic import replacing, telling
+from mrs.output.atomic import DamagedError, replacing, telling
 
 _SAME = 1e-12  # of a time: other programs write fewer digits
 
@@ -54,22 +54,23 @@ def times(path: str | os.PathLike[str], column: str = "t") -> list[float]:
 
     Raises
     ------
-    ValueError
-        If it is not a log: the message names the line.
+    DamagedError
+        If it is not a log; the message names the line.
     """
     lines = _lines(Path(path))
     if not lines:
         return []
     header, *rows = lines
     if column not in header:
-        raise ValueError(f"{path}: its first line has no column {column!r}: it is no log of a run")
+        raise DamagedError(path, f"is no log of a run: its first line has no column {column!r}")
     at = header.index(column)
     found = []
     for number, row in enumerate(rows, 2):
         try:
             found.append(float(row[at]))
         except (IndexError, ValueError):
-            raise ValueError(f"{path}: line {number} has no number in column {column!r}") from None
+            reason = f"is damaged: line {number} has no number in column {column!r}"
+            raise DamagedError(path, reason) from None
     return found
 
 
@@ -95,7 +96,7 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
 
     Raises
     ------
-    ValueError
+    DamagedError
         If it is not a log.
     """
     path = Path(path)
@@ -133,13 +134,13 @@ def _lines(path: Path) -> list[list[str]]:
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is damaged, or not text in UTF-8 ({error})") from None
+        raise DamagedError(path, f"is damaged, or not text in UTF-8 ({error})") from None
     text = text.replace("\r\n", "\n")
     complete = text[: text.rfind("\n") + 1]
     try:
         return [row for row in csv.reader(io.StringIO(complete)) if row]
     except csv.Error as error:
-        raise ValueError(f"{path} is damaged ({error})") from None
+        raise DamagedError(path, f"is damaged ({error})") from None
 
 
 def _text(lines: list[list[Any]]) -> str:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +19,16 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing, telling
+from mrs.output.atomic import DamagedError, replacing, telling
 from mrs.output.hdf5 import File
 
 _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 _DATA = ("PointData", "CellData", "FieldData")
 _FIRST_ROOM = 16
+_REMEDY = (
+    "; put back a copy, or let `mrs resume DIRECTORY --renew-files` begin the file anew from the "
+    "last checkpoint"
+)
 
 _Layout = dict[str, tuple[tuple[int, ...], np.dtype]]  # shape in one frame, and type, by name
 
@@ -48,6 +53,15 @@ class Topology(NamedTuple):
     def cells(self) -> int:
         """Number of vertices and lines."""
         return len(self.vertices) + len(self.lines)
+
+
+def same_topology(one: Topology, other: Topology) -> bool:
+    """Return whether the same points are drawn, and joined, in both."""
+    return (
+        np.array_equal(one.vertices, other.vertices)
+        and len(one.lines) == len(other.lines)
+        and all(map(np.array_equal, one.lines, other.lines))
+    )
 
 
 def create(
@@ -209,6 +223,8 @@ class Trajectory:
     ----------
     path : Path
     topology : Topology
+    size : int
+        Number of points; 0 before the first frame.
     times : (frames,) float64 ndarray
     meta : dict
         As given to `create`.
@@ -217,8 +233,8 @@ class Trajectory:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
-        If it is not a trajectory.
+    DamagedError
+        If it is cut short or no trajectory; the message says what to do.
 
     Examples
     --------
@@ -228,15 +244,20 @@ class Trajectory:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._file = File(self.path, "r")
         try:
-            self._root = _root(self._file, self.path)
-            self.topology = _topology(self._root)
-            self.times = _times(self._root)
-            self.meta = {key: _plain(value) for key, value in self._file["meta"].attrs.items()}
-        except BaseException:
-            self._file.close()
-            raise
+            with ExitStack() as stack:
+                self._file = stack.enter_context(File(self.path, "r"))
+                self._root = _root(self._file, self.path)
+                self.topology = _topology(self._root)
+                self.times = _times(self._root)
+                self.size = int(self._root["Points"].attrs["rows"]) if len(self.times) else 0
+                self.meta = {key: _plain(value) for key, value in self._file["meta"].attrs.items()}
+                stack.pop_all()  # it stays open
+        except (KeyError, OSError, RuntimeError, ValueError) as error:
+            if getattr(error, "errno", None) is not None:  # no such file, no permission
+                raise
+            reason = getattr(error, "reason", f"is damaged ({error})")
+            raise DamagedError(self.path, reason, _REMEDY) from None
 
     def __enter__(self) -> Trajectory:
         return self
@@ -285,7 +306,7 @@ class Trajectory:
 
 def _root(file: h5py.File, path: Path) -> h5py.Group:
     if "VTKHDF/Steps" not in file or "meta" not in file:
-        raise ValueError(f"{path} is not a trajectory written by mrs")
+        raise DamagedError(path, "is not a trajectory written by mrs")
     return file["VTKHDF"]
 
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, replacing
 from mrs.output.vtkhdf import Topology
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
 
     Raises
     ------
-    ValueError
+    DamagedError
         If it is cut short, or no such list.
     """
     if not path.exists():
@@ -101,7 +101,8 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
         entries = ElementTree.parse(path).iter("DataSet")
         return [(float(entry.attrib["timestep"]), entry.attrib["file"]) for entry in entries]
     except (ElementTree.ParseError, KeyError, ValueError) as error:
-        raise ValueError(f"{path} is damaged, cut short or no .pvd file ({error})") from None
+        reason = f"is cut short, damaged or no .pvd file ({error})"
+        raise DamagedError(path, reason) from None
 
 
 def _cells(cells: Sequence[ArrayLike]) -> np.ndarray:
