@@ -206,7 +206,7 @@ def load_toml(path: str | Path) -> dict[str, Any]:
 
 def _missing(directory: Path) -> list[Path]:
     """Return the folders that must be made, outermost first."""
-    missing = []
+    missing: list[Path] = []
     for folder in (directory, *directory.parents):
         if folder.is_dir():
             return missing[::-1]

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,6 +16,7 @@ import numpy as np
 
 from mrs import check, rundir
 from mrs.bodies import Body
+from mrs.describe import described, differences
 from mrs.flows import Flow
 from mrs.mobility import Backend, Mobility
 from mrs.profile import Profile
@@ -24,6 +26,9 @@ from mrs.steric import Steric
 from mrs.trackers import Output, Tracker, next_stop, standard_trackers
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
+_NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
+_WRITING = ("interval", "checkpoint_seconds", "live")
+_SAID_ELSEWHERE = ("t_end", "backend", "integrator", *_WRITING)  # of the options of a scenario
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
 
 
@@ -302,6 +307,11 @@ class Simulation:
         """Return the blob sizes at the points of one body."""
         return self._epsilons[self._part(body).points]
 
+    def point_count(self, body: Body) -> int:
+        """Return how many points one body has."""
+        points = self._part(body).points
+        return points.stop - points.start
+
     def frame(self, body: Body) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return what a file shows of one body: its points, arrays at points and at cells."""
         part = self._part(body)
@@ -352,29 +362,85 @@ class Simulation:
             "integrator": history,
             "backends": self.mobility.history(),
             "written": dict(self.written),
+            "scene": self.description,
         }
         return arrays | self.state._asdict(), values
 
-    def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """What the scene is made of, and how it is computed and written, as plain values."""
+        options = (self.recipe or {}).get("options", {})
+        written = () if self.output is None else _WRITING
+        return described(
+            {
+                "options": {k: v for k, v in options.items() if k not in _SAID_ELSEWHERE},
+                "fluid": self.fluid,
+                "bodies": {body.name: body.parameters() for body in self.bodies},
+                "order": [body.name for body in self.bodies],
+                "steric": self.steric,
+                "backend": self.backend,
+                "integrator": self.integrator,
+                "output": {name: getattr(self.output, name) for name in written},
+            }
+        )
+
+    def restore(
+        self, arrays: dict[str, np.ndarray], values: dict[str, Any], *, changes: bool = False
+    ) -> None:
         """Take up a snapshot of the same scene.
+
+        Parameters
+        ----------
+        arrays, values : dict
+            From `snapshot`.
+        changes : bool, optional
+            Whether fluid, bodies or steric repulsion may be others than those of the snapshot.
 
         Raises
         ------
         ValueError
-            If it is of another number of points.
+            If it is of another number of points; or of another fluid, other bodies or another
+            repulsion, without `changes`. The message names each difference.
+
+        Warns
+        -----
+        UserWarning
+            Of each difference that is taken up: those, and of backend, integrator and output.
+
+        Notes
+        -----
+        Another backend chooses anew how to sum, another integrator begins with a new step size,
+        and after a change of the physics both do.
         """
+        found = differences(values["scene"], self.description)
+        physics = [d for d in found if d.place.partition(".")[0] not in _NUMERICS]
+        said = "".join(f"\n  {difference}" for difference in found)
         state = State(arrays["positions"], arrays["quaternions"])
         for name, mine, other in zip(State._fields, self.state, state, strict=True):
             if mine.shape != other.shape:
                 raise ValueError(
-                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}"
+                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}; a run "
+                    f"cannot go on with other numbers of points{said}"
                 )
+        if physics and not changes:
+            raise ValueError(
+                f"the scene is not that of the checkpoint:{said}\n"
+                "put this back; or, if the run is to go on with the change, say so with "
+                "`mrs resume DIRECTORY --changes` (changes=True)"
+            )
+        if found:
+            warnings.warn(f"from t = {values['time']:g} on:{said}", stacklevel=3)
+        changed = {d.place.partition(".")[0] for d in found} - {"output"}
         self.time, self.state, self.resumed = values["time"], state, True
         self.written = dict(values["written"])
         prefix = "integrator/"
         own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        self.stepper.restore(own, values["integrator"])
-        self.mobility.restore(values["backends"])
+        if changed <= {"backend"}:
+            self.stepper.restore(own, values["integrator"])
+        else:
+            self.stepper.restore_counts(values["integrator"])
+        if changed <= {"integrator"}:
+            self.mobility.restore(values["backends"])
 
     # --- time ----------------------------------------------------------------------------------
 
@@ -520,9 +586,7 @@ class Simulation:
             rundir.extend(directory, self.t_end, files)
         else:
             self.written.clear()
-            rundir.begin(
-                directory, self.recipe, self.t_end, files, overwrite=output.overwrite
-            )
+            rundir.begin(directory, self.recipe, self.t_end, files, overwrite=output.overwrite)
             stack.callback(rundir.discard_unstarted, directory)
 
     def _require_whole_files(self, directory: Path, renew_files: bool) -> None:

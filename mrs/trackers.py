@@ -186,12 +186,14 @@ class Trajectories(_BodyFiles):
 
     def times(self, sim: Simulation, path: Path, body: Body | None) -> Sequence[float]:
         assert body is not None
-        points = len(sim.body_epsilons(body))
+        points = sim.point_count(body)
         topology = vtkhdf.Topology(*body.topology())
         with vtkhdf.Trajectory(path) as found:
             kind = found.meta.get("kind")
             if kind != body.kind:
-                raise DamagedError(path, f"is of another scene: its body is {kind}, not {body.kind}")
+                raise DamagedError(
+                    path, f"is of another scene: its body is {kind}, not {body.kind}"
+                )
             if found.size not in (0, points):
                 raise DamagedError(
                     path, f"is of another scene: it has {found.size} points, not {points}"
@@ -227,7 +229,7 @@ class Live(_BodyFiles):
 
     def times(self, sim: Simulation, path: Path, body: Body | None) -> Sequence[float]:
         assert body is not None
-        return live.times(path, len(sim.body_epsilons(body)))
+        return live.times(path, sim.point_count(body))
 
     def cut(self, sim: Simulation, path: Path, body: Body | None) -> float | None:
         return live.cut(path, sim.time)

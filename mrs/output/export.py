@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mrs.output.vtkhdf import Trajectory
-from mrs.output.vtp import polydata, write_pvd
+from mrs.output.vtp import polydata, write_pvd, write_vtp
 
 if TYPE_CHECKING:
     import meshio
@@ -30,6 +30,9 @@ def export(
     frames: Iterable[int] | None = None,
 ) -> list[Path]:
     """Write frames of all trajectories of a run, ``<body>_000012.<format>`` for frame 12.
+
+    Files in the same folder of frames that a body does not have, which a longer run has left there,
+    are deleted.
 
     Parameters
     ----------
@@ -104,11 +107,15 @@ def _export(
         file = destination / f"{trajectory.path.stem}_{i:06d}.{suffix}"
         if suffix == "vtp":
             frame = (trajectory.points(i), trajectory.point_data(i), trajectory.cell_data(i))
-            polydata(trajectory.topology, *frame).save(file)
+            write_vtp(file, polydata(trajectory.topology, *frame))
         else:
             options = {"data_format": "XML"} if suffix == "xdmf" else {}  # one file, not two
             _mesh(trajectory, i, suffix in _WITH_ARRAYS).write(file, **options)
         written.append((float(trajectory.times[i]), file))
+    for file in destination.glob(f"{trajectory.path.stem}_*.{suffix}"):
+        number = file.stem.removeprefix(f"{trajectory.path.stem}_")
+        if len(number) >= 6 and number.isdecimal() and int(number) >= len(trajectory):
+            file.unlink()
     return written
 
 

@@ -81,7 +81,9 @@ def times(path: Path, points: int) -> list[float]:
         if found is None:
             raise DamagedError(path, f"lists {name}, which is cut short or damaged")
         if found != points:
-            raise DamagedError(path, f"is of another scene: {name} has {found} points, not {points}")
+            raise DamagedError(
+                path, f"is of another scene: {name} has {found} points, not {points}"
+            )
     return [time for time, _ in files]
 
 

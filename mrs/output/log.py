@@ -7,6 +7,7 @@ import io
 import math
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -57,7 +58,8 @@ def times(path: str | os.PathLike[str], column: str = "t") -> list[float]:
     DamagedError
         If it is not a log; the message names the line.
     """
-    lines = _lines(Path(path))
+    path = Path(path)
+    lines = _lines(path)
     if not lines:
         return []
     header, *rows = lines
@@ -116,8 +118,10 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
     return time if last is not None and _same(last, time) else last
 
 
-def last(path: str | os.PathLike[str]) -> dict[str, float | str]:
-    """Return the last complete row by column, numbers as such; empty if there is none.
+def last(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Return the last complete row by column; empty if there is none.
+
+    Numbers are numbers again, and None is where nothing was.
 
     Parameters
     ----------
@@ -153,10 +157,8 @@ def _same(time: float, other: float) -> bool:
     return math.isclose(time, other, rel_tol=_SAME)
 
 
-def _value(cell: str) -> float | str:
+def _value(text: str) -> float | str | None:
     for kind in (int, float):
-        try:
-            return kind(cell)
-        except ValueError:
-            pass
-    return cell
+        with suppress(ValueError):
+            return kind(text)
+    return text or None
