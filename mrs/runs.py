@@ -152,7 +152,8 @@ def info(directory: str | Path) -> dict[str, Any]:
         known.append((saved.get("time"), saved.get("steps")))
     moments = [both for both in known if all(isinstance(n, (int, float)) for n in both)]
     time, steps = max(moments, default=(0.0, 0))
-    time = max([time, *(file.get("time") or 0.0 for file in files.values())])
+    times: list[float] = [file.get("time") or 0.0 for file in files.values()]
+    time = max(time or 0.0, *times, 0.0)
     return content | {
         "time": time,
         "steps": steps,

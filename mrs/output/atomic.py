@@ -36,19 +36,18 @@ def telling(path: Path) -> Iterator[None]:
     Raises
     ------
     WriteError
-        In place of an OSError that names no file.
+        In place of an OSError that names no file, or of a full disk.
     """
     try:
         yield
     except WriteError:
         raise
     except OSError as error:
-        if error.errno is None or error.filename is not None:
+        full = error.errno in _FULL
+        if not full and (error.errno is None or error.filename is not None):
             raise
-        remedy = ""
-        if error.errno in _FULL:
-            remedy = "; what it held before is kept: free some space, then `mrs resume` the run"
-        told = WriteError(f"{path} could not be written: {error.strerror}{remedy}")
+        kept = "; what it held before is kept: free some space, then `mrs resume` the run"
+        told = WriteError(f"{path} could not be written: {error.strerror}" + kept * full)
         told.errno = error.errno
         raise told from error
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import DamagedError
+from mrs.output.atomic import DamagedError, telling
 from mrs.output.vtkhdf import Topology
 from mrs.output.vtp import polydata, read_pvd, write_pvd, write_vtp
 
@@ -38,7 +38,8 @@ def append(
     path = Path(path)
     files = read_pvd(path)
     frame = next_frame(path)
-    frame.parent.mkdir(parents=True, exist_ok=True)
+    with telling(frame):
+        frame.parent.mkdir(parents=True, exist_ok=True)
     write_vtp(frame, polydata(topology, points, point_data, cell_data))
     write_pvd(path, [*files, (time, frame.relative_to(path.parent).as_posix())])
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mrs.output.atomic import telling
+
 MACRO = Path("paraview") / "open_in_paraview.py"  # in the run directory
 
 _MACRO = '''"""Open this run. In ParaView: Tools > Python Shell > Run Script, or as a macro.
@@ -88,6 +90,7 @@ def write_macro(directory: str | os.PathLike[str]) -> Path:
     """
     directory = Path(directory)
     path = directory / MACRO
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
+    with telling(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
     return path
