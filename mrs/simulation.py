@@ -147,7 +147,7 @@ class Simulation:
             *(check.instance("trackers", tracker, Tracker) for tracker in trackers),
         ]
         self.resumed = False
-        self.written: dict[str, float] = {}  # the last time in each file of the run directory
+        self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
 
     def _assemble(self) -> None:
         """Lay the bodies out in flat arrays."""

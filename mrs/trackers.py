@@ -110,7 +110,8 @@ class _Frames(Tracker):
     def initialize(self, sim: Simulation) -> None:
         wanted = self._at_multiple(sim.time) or sim.time >= sim.t_end
         for path, body in self.paths(sim):
-            if self.cut(sim, path, body) != sim.time and wanted:
+            had_one = sim.time in sim.written.get(path.name, ())
+            if self.cut(sim, path, body) != sim.time and (wanted or had_one):
                 self._append(sim, path, body)
 
     def handle(self, sim: Simulation) -> None:
@@ -126,22 +127,21 @@ class _Frames(Tracker):
 
     def _fault(self, sim: Simulation, path: Path, body: Body | None) -> str:
         """Return why a run cannot go on with a file; empty if it can."""
-        noted = sim.written.get(path.name)
+        noted = sim.written.get(path.name, ())
         if not path.exists():
-            return "" if noted is None else "is missing"
+            return "is missing" if noted else ""
         try:
             times = self.times(sim, path, body)
         except DamagedError as error:
             return error.reason
         last = max((time for time in times if time <= sim.time), default=-math.inf)
-        if noted is None or last >= noted:
-            return ""
+        lost = [time for time in noted if last < time < sim.time]  # that of now is made again
         until = "has no frames" if last == -math.inf else f"ends at t = {last:g}"
-        return f"{until}, but was written to t = {noted:g}"
+        return f"{until}, but was written to t = {lost[-1]:g}" if lost else ""
 
     def _append(self, sim: Simulation, path: Path, body: Body | None) -> None:
         self.write(sim, path, body)
-        sim.written[path.name] = sim.time
+        sim.written[path.name] = [*sim.written.get(path.name, ())[-1:], sim.time]
 
     def _at_multiple(self, time: float) -> bool:
         return abs(time - self.count(time) * self.interval) <= _ROUNDING * self.interval
