@@ -103,8 +103,12 @@ def begin(
             "of that name: move it, or choose another directory"
         )
     discard(directory)
-    note(directory, *own)
-    _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
+    try:
+        note(directory, *own)
+        _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
+    except BaseException:
+        discard(directory)
+        raise
 
 
 def note(directory: str | Path, *files: str | Path) -> None:
@@ -154,12 +158,6 @@ def discard(directory: str | Path) -> None:
     folders = {folder for path in files for folder in path.parents}
     for folder in sorted(folders - {directory, *directory.parents}, reverse=True):
         _remove_empty(folder)
-
-
-def discard_unstarted(directory: str | Path) -> None:
-    """Delete the files of a run that came to an end before its first checkpoint."""
-    if not (Path(directory) / CHECKPOINT).exists():
-        discard(directory)
 
 
 def set_aside(path: Path) -> None:

@@ -587,7 +587,12 @@ class Simulation:
         else:
             self.written.clear()
             rundir.begin(directory, self.recipe, self.t_end, files, overwrite=output.overwrite)
-            stack.callback(rundir.discard_unstarted, directory)
+            stack.callback(self._discard_unstarted, directory)
+
+    def _discard_unstarted(self, directory: Path) -> None:
+        """Leave nothing of a start that failed before its first checkpoint and frame."""
+        if not self.written and not (directory / rundir.CHECKPOINT).exists():
+            rundir.discard(directory)
 
     def _require_whole_files(self, directory: Path, renew_files: bool) -> None:
         """Look at all files before any of them is touched."""
