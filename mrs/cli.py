@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
+import os
 import sys
 import traceback
 from pathlib import Path
 from typing import Any
 
-from mrs import runs, scenario
+from mrs import runs, scenario, signals
 from mrs.rundir import tomllib
 from mrs.scenario import ScenarioError
 from mrs.simulation import Simulation
@@ -24,23 +24,60 @@ examples:
   mrs run my_scene.toml --max-walltime 3600        stops in good order after an hour
   mrs resume outputs/pullers                       goes on from the last checkpoint
   mrs render outputs/pullers --output movie.mp4
+
+exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the checked number FAILED;
+2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
+_READER_GONE = 141  # as shells report a program that SIGPIPE ends
+# What is said in a line. Other errors are the program's own, and their tracebacks are wanted.
+_TOLD = (
+    ArithmeticError,
+    EOFError,
+    ImportError,
+    IndexError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as ctrl-C: stop with a checkpoint
     try:
-        return options.action(options) or 0
-    except KeyboardInterrupt:
-        print("stopped; go on with `mrs resume`", file=sys.stderr)
-        return 130
-    except (ArithmeticError, IndexError, OSError, RuntimeError, TypeError, ValueError) as error:
+        with signals.stopping():
+            status = options.action(options) or 0
+            sys.stdout.flush()
+            return status
+    except KeyboardInterrupt as stop:
+        going = getattr(options, "going", None)
+        advice = f"; go on with `mrs resume {going}`" if going else ""
+        print(f"{str(stop) or 'stopped'}{advice}", file=sys.stderr)
+        return 128 + getattr(stop, "number", signals.CTRL_C)
+    except _TOLD as error:
+        if isinstance(error, BrokenPipeError) and _reader_is_gone():
+            return _READER_GONE
         if _in_users_file(error):
             raise
-        print(f"mrs: {error}", file=sys.stderr)
+        print(f"mrs: {_said(error)}", file=sys.stderr)
         return 1
+
+
+def _said(error: BaseException) -> str:
+    text = str(error) or type(error).__name__
+    return f"not enough memory: {text}" if isinstance(error, MemoryError) else text
+
+
+def _reader_is_gone() -> bool:
+    """Return whether what reads the output, such as `head`, has ended; then print no more."""
+    try:
+        print(flush=True)  # what broke may be another pipe, such as that to the encoder of a film
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
 
 
 def _in_users_file(error: Exception) -> bool:
@@ -80,27 +117,30 @@ def _size(text: str) -> tuple[int, int]:
     return width, height
 
 
-def _run(options: argparse.Namespace) -> None:
+def _run(options: argparse.Namespace) -> int:
     name = options.scene
     values: dict[str, Any] = {}
-    if name.lower().endswith(".toml"):
+    if Path(name).suffix.lower() == ".toml":
         name, values = runs.read_input(name)
     for item in options.set:
         _assign(values, item)
     scene = scenario.make(name, values, quick=options.quick)
     if options.options:
         _print_options(scene)
-        return
+        return 0
     directory = options.output or Path("outputs") / Path(options.scene).stem
     sim = scene.simulation(directory, overwrite=options.overwrite)
     sim.trackers.extend(_trackers(options))
+    options.going = directory
     sim.run(scene.t_end, max_walltime=options.max_walltime)
-    _report(sim, scene, directory)
+    options.going = None
+    passed = _report(sim, scene, directory)
     if options.picture:
         from mrs.output.render import render
 
         render(directory, directory / "picture.png")
         print(directory / "picture.png")
+    return 0 if passed else 1
 
 
 def _trackers(options: argparse.Namespace) -> list[Tracker]:
@@ -129,17 +169,22 @@ def _print_options(scene: scenario.Scenario) -> None:
         print(f"{name} = {json.dumps(values[name])}\n    {field.description or ''}")
 
 
-def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> None:
+def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
+    """Say what a run has come to; return False if it is at its end with a wrong number."""
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
         f"{sim.stepper.rejections} rejected, {sim.mobility.evaluations} evaluations by {names}"
     )
-    if sim.time >= sim.t_end:
-        print(scene.check(sim))
+    if sim.time < sim.t_end:
+        return True
+    result = scene.check(sim)
+    print(result)
+    return result.passed
 
 
-def _resume(options: argparse.Namespace) -> None:
+def _resume(options: argparse.Namespace) -> int:
+    options.going = options.directory
     sim = runs.resume(
         options.directory,
         options.t_end,
@@ -148,7 +193,9 @@ def _resume(options: argparse.Namespace) -> None:
         changes=options.changes,
         renew_files=options.renew_files,
     )
-    _report(sim, runs.scenario_of(options.directory), options.directory)
+    options.going = None
+    passed = _report(sim, runs.scenario_of(options.directory), options.directory)
+    return 0 if passed else 1
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -231,7 +278,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         "begin a run",
         {
             "scene": {
-                "metavar": "SCENARIO|FILE.toml|FILE.py",
+                "metavar": "SCENARIO|FILE.toml|FILE.py[:CLASS]",
                 "help": f"one of {', '.join(scenario.known())}; or a file",
             },
             "--quick": {"action": "store_true", "help": "a small version that ends within seconds"},

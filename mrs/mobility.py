@@ -14,6 +14,7 @@ from mrs import check
 BACKENDS = ("auto", "direct", "kitc", "taylor", "fmm")
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Backend:
     """How the sums are done.
@@ -37,6 +38,11 @@ class Backend:
     degree: int | None = None
     leaf_size: int | None = None
     tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check.one_of("name", self.name, BACKENDS)
+        check.number("tolerance", self.tolerance, 1e-12, 1.0)
+        self.plan(tc.RegularizedStokeslet(epsilon=1.0))  # refuses the rest
 
     def plan(self, kernel: tc.Kernel) -> tc.Plan:
         """Return an empty plan."""
@@ -126,8 +132,6 @@ class Mobility:
         spinning: np.ndarray,
         backend: Backend,
     ) -> None:
-        check.one_of("backend", backend.name, BACKENDS)
-        check.number("tolerance", backend.tolerance, 1e-12, 1.0)
         self.backend = backend
         self.evaluations = 0
         self.seconds = 0.0

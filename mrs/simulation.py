@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time as clock
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs import check, rundir
+from mrs import check, rundir, signals
 from mrs.bodies import Body
 from mrs.describe import described, differences
 from mrs.flows import Flow
-from mrs.mobility import Backend, Mobility
+from mrs.mobility import BACKENDS, Backend, Mobility
 from mrs.profile import Profile
 from mrs.state import State
-from mrs.stepper import Integrator, NotFiniteError, Stepper, StepSizeError
+from mrs.stepper import METHODS, Integrator, NotFiniteError, Stepper, StepSizeError
 from mrs.steric import Steric
 from mrs.trackers import Output, Tracker, next_stop, standard_trackers
 
@@ -32,6 +32,7 @@ _SAID_ELSEWHERE = ("t_end", "backend", "integrator", *_WRITING)  # of the option
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Fluid:
     """The fluid.
@@ -42,12 +43,39 @@ class Fluid:
     epsilon : float, optional
         Blob size of bodies that do not set their own.
     background : Flow, optional
-        What it does without bodies (`mrs.flows`).
+        What it does without bodies: one of `mrs.flows`, or an object with their methods `velocity`
+        and, for rods, `vorticity`.
     """
 
     viscosity: float = 1.0
     epsilon: float | None = None
     background: Flow | None = None
+
+    def __post_init__(self) -> None:
+        check.positive("viscosity", self.viscosity)
+        if self.epsilon is not None:
+            check.positive("epsilon", self.epsilon)
+        flow = self.background
+        if flow is not None and not callable(getattr(flow, "velocity", None)):
+            raise TypeError(
+                "background must be a flow such as mrs.flows.shear(rate=1.0), or "
+                f"mrs.flows.UserFlow(function), got {flow!r}"
+            )
+
+    def flow(
+        self,
+        what: str,
+        points: np.ndarray,
+        time: float,
+        name: Callable[[int], str] = "row {}".format,
+    ) -> np.ndarray:
+        """Return the background's "velocity" or "vorticity" at points, (N, 3); `name` names one."""
+
+        def where(row: int) -> str:
+            return f"at {name(row)}, {points[row]}, and time {time:g}"
+
+        value = getattr(self.background, what)(points, time)
+        return check.vectors(f"background {what}", value, len(points), where)
 
 
 class Evaluation(NamedTuple):
@@ -81,6 +109,7 @@ class SimulationError(RuntimeError):
     """A run that cannot go on; the message says where and why."""
 
 
+@check.spelling
 class Simulation:
     """Bodies in a viscous fluid.
 
@@ -125,26 +154,28 @@ class Simulation:
         trackers: Iterable[Tracker] = (),
         recipe: dict[str, Any] | None = None,
     ) -> None:
-        check.instance("fluid", fluid, Fluid)
-        check.positive("viscosity", fluid.viscosity)
-        self.fluid = fluid
-        self.bodies = tuple(check.instance("bodies", body, Body) for body in bodies)
-        check.instance("steric", steric, Steric, type(None))
-        check.instance("output", output, Output, type(None))
-        self.backend = backend if isinstance(backend, Backend) else Backend(backend)
-        self.integrator = (
-            integrator if isinstance(integrator, Integrator) else Integrator(integrator)
+        self.fluid = check.instance("fluid", fluid, Fluid)
+        self.bodies = check.instances("bodies", bodies, Body)
+        self.backend = (
+            backend
+            if isinstance(backend, Backend)
+            else Backend(check.one_of("backend", backend, BACKENDS))
         )
-        self.steric = None if steric is None else steric.validated()
+        self.integrator = (
+            integrator
+            if isinstance(integrator, Integrator)
+            else Integrator(check.one_of("integrator", integrator, METHODS))
+        )
+        self.steric = check.instance("steric", steric, Steric, type(None))
+        self.output = check.instance("output", output, Output, type(None))
         self.recipe = recipe
         self.time = 0.0
         self.profile = Profile()
         self._assemble()
         self.stepper = Stepper(self.integrator)
-        self.output = output
         self.trackers = [
             *standard_trackers(output),
-            *(check.instance("trackers", tracker, Tracker) for tracker in trackers),
+            *check.instances("trackers", trackers, Tracker),
         ]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
@@ -189,8 +220,7 @@ class Simulation:
             self.fluid.viscosity, epsilons, forced, torqued, spinning, self.backend
         )
         self._scale(epsilons[forced])
-        if self.steric is not None:
-            self._label(forced)
+        self._label(forced)
         self._evaluation: Evaluation | None = None
 
     def _blob_sizes(self, body: Body, size: int) -> np.ndarray:
@@ -198,7 +228,7 @@ class Simulation:
             return np.ones(size)
         default = self.fluid.epsilon
         if default is not None:
-            return body.epsilons(check.positive("epsilon", default))
+            return body.epsilons(default)
         epsilons = body.epsilons(np.nan)
         if np.isnan(epsilons).any():
             raise ValueError(f"epsilon must be set, by the fluid or by {body.name!r}")
@@ -222,11 +252,11 @@ class Simulation:
         """Number the connected pieces of all bodies, for the steric repulsion."""
         labels, before = [], 0
         for body in self.bodies:
-            if body.has_force:
+            if body.has_force and self.steric is not None:
                 piece, *along = body.contact_labels()
                 labels.append((piece + before, *along))
                 before += int(piece.max(initial=-1)) + 1
-        self._touching = np.flatnonzero(forced)
+        self._touching = np.flatnonzero(forced) if labels else np.empty(0, int)
         self._labels = [np.concatenate(column) for column in zip(*labels, strict=True)]
 
     # --- physics -------------------------------------------------------------------------------
@@ -251,12 +281,11 @@ class Simulation:
             lost = np.full_like(loads, np.nan)
             return Evaluation(time, state, points, loads, lost, self._rates(time, state, lost))
         motion = self._sum(points, loads)
-        background = self.fluid.background
-        if background is not None:
+        if self.fluid.background is not None:
             with self.profile.stage("background"):
-                motion[:, :3] += background.velocity(points, time)
+                motion[:, :3] += self.fluid.flow("velocity", points, time, self._node)
                 if self._width == 6:
-                    motion[:, 3:] += 0.5 * background.vorticity(points, time)
+                    motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, self._node)
         return Evaluation(time, state, points, loads, motion, self._rates(time, state, motion))
 
     def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
@@ -277,7 +306,7 @@ class Simulation:
                 loads[part.points, :3] = force
                 if torque is not None:
                     loads[part.points, 3:] = torque
-        if self.steric is not None:
+        if self.steric is not None and len(self._touching):
             touching = points[self._touching]
             loads[self._touching, :3] += self.steric.forces(touching, *self._labels)
         return loads
@@ -348,7 +377,7 @@ class Simulation:
             time, sources, loads = now.time, now.points, now.loads
         velocity = self.mobility.velocity(sources, loads[:, : self._width], points)
         if self.fluid.background is not None:
-            velocity += self.fluid.background.velocity(points, time)
+            velocity += self.fluid.flow("velocity", points, time)
         return velocity
 
     # --- storage -------------------------------------------------------------------------------
@@ -499,7 +528,7 @@ class Simulation:
                 f"{self.integrator.tolerance:g}; allow a larger one, or look for forces, "
                 "lengths or times out of scale"
             )
-        if isinstance(error, FloatingPointError):
+        if isinstance(error, (FloatingPointError, check.FunctionError)):
             return SimulationError(f"at time {self.time:g}: {error}")
         return error
 
@@ -526,6 +555,11 @@ class Simulation:
                 )
         raise AssertionError(row)
 
+    def _node(self, row: int) -> str:
+        """Name a point."""
+        part = next(part for part in self._parts if part.points.start <= row < part.points.stop)
+        return f"node {row - part.points.start} of {part.body.name!r}"
+
     def _place(self) -> str:
         """Say where the run is, and what to do about steps that are too long."""
         return (
@@ -543,7 +577,8 @@ class Simulation:
         ----------
         t_end : float
         max_walltime : float, optional
-            Seconds after which the run stops in good order, before `t_end`.
+            Seconds after which the run stops in good order, before `t_end`; at least one step is
+            taken.
         renew_files : bool, optional
             When an earlier run goes on: begin anew those of its files that are missing, cut short
             or of another scene, instead of refusing to go on. What was there is kept beside.
@@ -556,24 +591,30 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If the state would not be finite; the last good state is in the checkpoint. If a file
-            of the run that goes on is missing or damaged; nothing is changed then.
+            If the state, or what a user's function gives, would not be finite; the last good state
+            is in the checkpoint. If a file of the run that goes on is missing or damaged; nothing
+            is changed then.
         FileExistsError
             If the directory holds a run, or a file of a name that the run would write.
         KeyboardInterrupt
-            After ctrl-C, with a checkpoint written.
+            After ctrl-C, or a signal that would end the process (SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
+            SIGXCPU), with a checkpoint written, which further signals do not interrupt. A script
+            goes on with ``mrs.restart(sim).run(t_end)``.
         """
         self.t_end = check.number("t_end", t_end, 0.0, 1e300)
         if t_end < self.time:
             raise ValueError(f"t_end must be at least the present time {self.time:g}, got {t_end}")
+        if max_walltime is not None:
+            check.number("max_walltime", max_walltime, 0.0, np.inf, low_inclusive=True)
         for tracker in self.trackers:
             if tracker.interval is not None:
                 check.positive(f"{type(tracker).__name__}.interval", tracker.interval)
         with ExitStack() as stack:
+            stopping = stack.enter_context(signals.stopping())
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
                 self._enter(self.output, renew_files, stack)
-            self._run(max_walltime)
+            self._run(max_walltime, stopping)
         return self
 
     def _enter(self, output: Output, renew_files: bool, stack: ExitStack) -> None:
@@ -612,29 +653,38 @@ class Simulation:
             rundir.set_aside(path)
             self.written.pop(path.name, None)
 
-    def _run(self, max_walltime: float | None) -> None:
-        start = clock.monotonic()
+    def _run(self, max_walltime: float | None, stopping: signals.Stopping) -> None:
         begun: list[Tracker] = []
         try:
-            with self.profile.stage("output"):
-                for tracker in self.trackers:
-                    begun.append(tracker)
-                    tracker.initialize(self)
-            while self.time < self.t_end:
-                before = self.time
-                self.step(next_stop(self.trackers, before, self.t_end))
-                with self.profile.stage("output"):
-                    for tracker in self.trackers:
-                        if tracker.due(before, self.time) or self.time >= self.t_end:
-                            tracker.handle(self)
-                if max_walltime is not None and clock.monotonic() - start >= max_walltime:
-                    break
+            try:
+                self._go(max_walltime, begun, stopping)
+            finally:
+                stopping.hold()  # before anything is finalized, whatever ends the loop
         except BaseException:
             for failure in self._finalize(begun):
                 warnings.warn(str(failure), stacklevel=3)
             raise
         for failure in self._finalize(begun):
             raise failure
+
+    def _go(
+        self, max_walltime: float | None, begun: list[Tracker], stopping: signals.Stopping
+    ) -> None:
+        """Begin with all trackers, which go to `begun`, and step until the end."""
+        start = clock.monotonic()
+        with self.profile.stage("output"):
+            for tracker in self.trackers:
+                begun.append(tracker)
+                tracker.initialize(self)
+        while self.time < self.t_end:
+            before = self.time
+            self.step(next_stop(self.trackers, before, self.t_end))
+            with self.profile.stage("output"), stopping.writing():
+                for tracker in self.trackers:
+                    if tracker.due(before, self.time) or self.time >= self.t_end:
+                        tracker.handle(self)
+            if max_walltime is not None and clock.monotonic() - start >= max_walltime:
+                break
 
     def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
         """Let all trackers end their work; return what failed, which does not stop the others."""

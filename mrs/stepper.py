@@ -25,6 +25,7 @@ _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and
 _LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Integrator:
     """How time is stepped.
@@ -47,6 +48,14 @@ class Integrator:
     name: str = "rkc2"
     dt: float | Literal["auto"] = "auto"
     tolerance: float = 1e-4
+
+    def __post_init__(self) -> None:
+        check.one_of("name", self.name, METHODS)
+        if isinstance(self.dt, str) and self.dt != "auto":
+            raise ValueError(f"dt must be 'auto' or a positive number, got {self.dt!r}")
+        if self.dt != "auto":
+            check.positive("dt", self.dt)
+        check.number("tolerance", self.tolerance, 0.0, 1.0)
 
 
 class Problem(Protocol):
@@ -77,10 +86,9 @@ class Stepper:
     """Advances a state, one accepted step at a time."""
 
     def __init__(self, integrator: Integrator) -> None:
-        check.one_of("integrator", integrator.name, METHODS)
-        self.tolerance = check.number("tolerance", integrator.tolerance, 0.0, 1.0)
+        self.tolerance = integrator.tolerance
         self.method = METHODS[integrator.name]
-        self.fixed = None if integrator.dt == "auto" else check.positive("dt", integrator.dt)
+        self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
         self.h: float | None = None
         self.taken = 0.0
@@ -127,9 +135,17 @@ class Stepper:
         z = state.coordinates()
 
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
+        blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
+
+        def local_rates(t: float, z: np.ndarray) -> np.ndarray:
+            return state.local_rates(z, problem.rates(t, state.moved(z)))
 
         def f(t: float, z: np.ndarray) -> np.ndarray:
-            values = state.local_rates(z, problem.rates(t, state.moved(z)))
+            try:
+                values = local_rates(t, z)
+            except check.NotFiniteValueError as error:
+                blamed.append(error)
+                values = np.full_like(z, np.nan)
             lost.extend(_not_finite(values)[: 1 - len(lost)])
             return values
 
@@ -138,10 +154,11 @@ class Stepper:
         while True:
             if retried or self.steps >= self._renew_at:
                 small = _filled(problem.perturbation, _SMALL * z, _SMALL * interval * rates)
-                self._estimate_radius(lambda y: f(time, y), z, rates, small)
+                self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
             lost.clear()
+            blamed.clear()
             new, error = self.method.step(
                 f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
             )
@@ -149,7 +166,8 @@ class Stepper:
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 break
-            self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
+            lost.extend(_not_finite(new)[: 1 - len(lost)])
+            self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
             retried = True
         self.steps += 1
         if self.adaptive:
@@ -206,13 +224,14 @@ class Stepper:
         ratio = float(np.abs(error / scale).max(initial=0.0)) / self.tolerance
         return ratio if math.isfinite(ratio) else math.inf
 
-    def _reject(self, h: float, ratio: float, interval: float, lost: list[int]) -> None:
+    def _reject(self, h: float, ratio: float, interval: float, causes: list[Exception]) -> None:
+        """Shorten the step; where that is of no use raise the first of the causes."""
         if not self.adaptive:
-            raise NotFiniteError(lost[0])
+            raise causes[0]
         self.rejections += 1
         self.h = self._next(h, ratio, h)
         if self.h < _SMALLEST * interval:
-            raise NotFiniteError(lost[0]) if lost else StepSizeError(h)
+            raise causes[0] if causes else StepSizeError(h)
 
     def _next(self, h: float, ratio: float, largest: float) -> float:
         """Return the next step to try, of size `largest` at most (elementary controller)."""

@@ -11,6 +11,7 @@ from mrs.bodies import Body
 from mrs.state import State
 
 
+@check.spelling
 class Tracers(Body):
     """Passive points: targets of the sums, never sources.
 

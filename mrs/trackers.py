@@ -6,8 +6,9 @@ import math
 import time as clock
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
@@ -21,7 +22,9 @@ if TYPE_CHECKING:
     from mrs.simulation import Simulation
 
 
-class Output(NamedTuple):
+@check.spelling
+@dataclass(frozen=True)
+class Output:
     """Where and how often a run is written.
 
     Parameters
@@ -42,6 +45,14 @@ class Output(NamedTuple):
     checkpoint_seconds: float = 30.0
     overwrite: bool = False
     live: bool = False
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.directory, (str, Path)):
+            raise TypeError(f"directory must be a path, got {self.directory!r}")
+        check.positive("interval", self.interval)
+        check.not_negative("checkpoint_seconds", self.checkpoint_seconds, 1e9)
+        check.flag("overwrite", self.overwrite)
+        check.flag("live", self.live)
 
 
 # Of an interval, by which a time may miss a multiple and still count as that multiple: 3 * 0.1 is
@@ -105,7 +116,7 @@ class _Frames(Tracker):
 
     def __init__(self, output: Output) -> None:
         self.directory = Path(output.directory)
-        self.interval = check.positive("interval", output.interval)
+        self.interval = float(output.interval)
 
     def initialize(self, sim: Simulation) -> None:
         wanted = self._at_multiple(sim.time) or sim.time >= sim.t_end
@@ -287,7 +298,7 @@ class Checkpoints(Tracker):
 
     def __init__(self, output: Output) -> None:
         self.path = Path(output.directory) / "checkpoint.h5"
-        self.seconds = check.number("checkpoint_seconds", output.checkpoint_seconds, -1e-300, 1e9)
+        self.seconds = output.checkpoint_seconds
 
     def initialize(self, sim: Simulation) -> None:
         self._last = clock.monotonic()

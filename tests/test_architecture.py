@@ -51,6 +51,7 @@ ALLOWED = {
     "mrs.rotations": set(),
     "mrs.state": {"mrs.rotations"},
     "mrs.profile": set(),
+    "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
     "mrs.describe": set(),
@@ -70,9 +71,9 @@ ALLOWED = {
     },
     "mrs.simulation": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.flows", "mrs.mobility", "mrs.profile",
-        "mrs.rundir", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.rundir", "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
-    "mrs.scenario": {"mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
+    "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs": {"mrs"},
     "scenarios": {"mrs"},
 }  # fmt: skip

@@ -265,7 +265,7 @@ def wave(amplitude):
     ("changed", "said"),
     [
         ({"rate": 5.0}, "fluid.background.gradient"),
-        ({"bending": [1.0, 2.0]}, r"bodies.fibre.bending: 1.0 became \[1.0, 2.0\]"),
+        ({"bending": [[1.0, 2.0]]}, r"bodies.fibre.bending: 1.0 became \[\[1.0, 2.0\]\]"),
         ({"beat": wave(0.2)}, "bodies.fibre.beat.values.amplitude: 0.1 became 0.2"),
         ({"beat": lambda s, t: np.zeros((len(s), 3))}, "bodies.fibre.beat"),
         ({"steric": mrs.Steric(1.0, 0.1)}, "steric"),

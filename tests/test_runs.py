@@ -325,10 +325,10 @@ def test_what_users_functions_give_is_checked(values):
     with pytest.raises(ValueError, match="beat must give"):
         mrs.Rods(line, beat=lambda s, t: values, **moduli)
     with pytest.raises(ValueError, match="base: velocity must give"):
-        mrs.Rods(line, base=mrs.Drive(velocity=values), **moduli)
+        mrs.Rods(line, base=mrs.Drive(velocity=lambda t: values), **moduli)
     flow = mrs.flows.UserFlow(lambda points, time: values)
     sim = mrs.Simulation(mrs.Fluid(background=flow), [mrs.Tracers(np.ones((4, 3)))])
-    with pytest.raises(ValueError, match="velocity must give"):
+    with pytest.raises(mrs.SimulationError, match="at time 0: background velocity must give"):
         sim.run(1.0)
 
 

@@ -155,7 +155,7 @@ def test_an_interval_that_is_none_is_refused(interval):
 
 
 def test_trackers_are_trackers():
-    with pytest.raises(TypeError, match=r"trackers must be mrs\.Tracker"):
+    with pytest.raises(TypeError, match=r"trackers\[0\] must be mrs\.Tracker"):
         circling(trackers=[print])
 
 

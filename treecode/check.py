@@ -12,16 +12,17 @@ LARGEST_COORDINATE = 1e60
 SMALLEST_PARAMETER, LARGEST_PARAMETER = 1e-60, 1e60
 
 
-def number(name: str, value: Any, low: float, high: float) -> float:
-    """Return `value` as a float strictly between `low` and `high`."""
-    allowed = f"{name} must be a number between {low:g} and {high:g} (exclusive), got {value!r}"
+def number(name: str, value: Any, low: float, high: float, *, low_inclusive: bool = False) -> float:
+    """Return `value` as a float between `low` and `high`, which is `low` only if that is said."""
+    least = f"{low:g} (inclusive)" if low_inclusive else f"{low:g}"
+    allowed = f"{name} must be a number between {least} and {high:g} (exclusive), got {value!r}"
     if isinstance(value, (str, bytes, bool, np.bool_)):
         raise TypeError(allowed)
     try:
         result = float(value)
     except (TypeError, ValueError, OverflowError):
         raise TypeError(allowed) from None
-    if not low < result < high:  # false for nan as well
+    if not (low < result < high or (low_inclusive and result == low)):  # nan: neither
         raise ValueError(allowed)
     return result
 
