@@ -202,7 +202,12 @@ def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
 def _resume(options: argparse.Namespace) -> int:
     options.going = options.directory
     sim = runs.resume(
-        options.directory, options.t_end, _trackers(options), max_walltime=options.max_walltime
+        options.directory,
+        options.t_end,
+        _trackers(options),
+        max_walltime=options.max_walltime,
+        changes=options.changes,
+        renew_files=options.renew_files,
     )
     options.going = None
     passed = _report(sim, runs.scenario_of(options.directory), options.directory)
@@ -214,13 +219,19 @@ def _info(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(found, indent=2))
         return
+    saved = found["checkpoint"] or {"error": "no checkpoint yet"}
     state = "finished" if found["finished"] else "not finished"
     print(
         f"{found.get('scenario', 'script')}: t = {found['time']:g} of {found['run']['t_end']:g}, "
-        f"{found['steps']} steps, {state}"
+        f"{found['steps']} steps, {state}; "
+        + saved.get("error", f"checkpoint at t = {saved.get('time', 0.0):g}")
     )
     for name, file in found["files"].items():
-        print(f"  {name}: {file['frames']} frames of {file['points']} points")
+        until = "" if file.get("time") is None else f", the last at t = {file['time']:g}"
+        told = file.get("error") or f"{file['frames']} frames of {file['points']} points{until}"
+        print(f"  {name}: {told}")
+    if "error" in found["log"]:
+        print(f"  log.csv: {found['log']['error']}")
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -313,6 +324,16 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         {
             **_DIRECTORY,
             "--t-end": {"type": float, "help": "a new end of simulated time"},
+            "--changes": {
+                "action": "store_true",
+                "help": "go on with other physics than before, after options were edited in "
+                "config.toml",
+            },
+            "--renew-files": {
+                "action": "store_true",
+                "help": "begin files anew that are missing, damaged or of another scene; "
+                "damaged ones are kept beside",
+            },
             **_GOING,
         },
     ),

@@ -12,6 +12,7 @@ import numpy as np
 from mrs import check, rundir
 from mrs.flows import Flow
 from mrs.output import checkpoint, field, log, vtkhdf
+from mrs.output.atomic import DamagedError
 from mrs.scenario import Scenario, ScenarioError, make
 from mrs.simulation import Simulation
 from mrs.stored import FieldError, StoredFrame
@@ -63,6 +64,8 @@ def resume(
     directory: str | Path,
     t_end: float | None = None,
     trackers: Iterable[Tracker] = (),
+    *,
+    changes: bool = False,
     **options: Any,
 ) -> Simulation:
     """Go on with a run from its last checkpoint.
@@ -74,8 +77,10 @@ def resume(
         A new end; that of the run by default.
     trackers : sequence of Tracker, optional
         Besides those that write the run.
+    changes : bool, optional
+        Whether options in config.toml that change the physics may differ from what was run.
     **options
-        As for `Simulation.run`.
+        As for `Simulation.run`: `max_walltime`, `renew_files`.
 
     Returns
     -------
@@ -90,40 +95,104 @@ def resume(
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
     """
-    sim = restart(scenario_of(directory).simulation(directory))
+    sim = restart(scenario_of(directory).simulation(directory), changes=changes)
     sim.trackers.extend(trackers)
     noted = rundir.read(directory)["run"]["t_end"]
     return sim.run(noted if t_end is None else t_end, **options)
 
 
-def restart(sim: Simulation) -> Simulation:
-    """Return `sim` in the state of the last checkpoint in its run directory, ready for `run`."""
+def restart(sim: Simulation, *, changes: bool = False) -> Simulation:
+    """Return `sim` in the state of the last checkpoint in its run directory, ready for `run`.
+
+    Parameters
+    ----------
+    sim : Simulation
+        Built as for the run, with its output directory.
+    changes : bool, optional
+        Whether fluid, bodies and steric repulsion may differ from those of the run. What differs
+        is said in any case; another backend, integrator or output is taken up.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no checkpoint.
+    ValueError
+        If `sim` has no output directory, or is another scene; see `Simulation.restore`.
+    """
     if sim.output is None:
         raise ValueError("sim must have an output directory to go on from")
-    sim.restore(*checkpoint.load(Path(sim.output.directory) / "checkpoint.h5"))
+    directory = Path(sim.output.directory)
+    sim.restore(*checkpoint.load(directory / rundir.CHECKPOINT), changes=changes)
     return sim
 
 
 def info(directory: str | Path) -> dict[str, Any]:
-    """Return what is known of a run: its options, versions, time reached, frames, last log row."""
+    """Return what is known of a run, also while it goes on.
+
+    Parameters
+    ----------
+    directory : path
+
+    Returns
+    -------
+    dict
+        What config.toml has; "time" and "steps" reached, the latest that any file knows, and
+        whether the run is "finished"; time and steps of the "checkpoint", None before the first,
+        and its "backends"; for each of the "files" its frames, points and last time, or what is
+        wrong with it, under "error"; the last row of the "log".
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no run in the directory.
+    """
     directory = Path(directory)
     content = rundir.read(directory)
-    _, values = checkpoint.load(directory / "checkpoint.h5")
-    files = {}
-    for path in sorted(directory.glob("*.vtkhdf")):
-        with vtkhdf.Trajectory(path) as trajectory:
-            files[path.name] = {
-                "frames": len(trajectory),
-                "points": len(trajectory.points(0)) if len(trajectory) else 0,
-            }
+    files = {path.name: _file_info(path) for path in sorted(directory.glob("[!.]*.vtkhdf"))}
+    row = _log_info(directory / "log.csv")
+    saved, backends = _checkpoint_info(directory / rundir.CHECKPOINT)
+    known = [(row.get("t"), row.get("step"))]
+    if saved is not None:
+        known.append((saved.get("time"), saved.get("steps")))
+    moments = [both for both in known if all(isinstance(n, (int, float)) for n in both)]
+    time, steps = max(moments, default=(0.0, 0))
+    times: list[float] = [file.get("time") or 0.0 for file in files.values()]
+    time = max(time or 0.0, *times, 0.0)
     return content | {
-        "time": values["time"],
-        "steps": values["integrator"]["steps"],
-        "finished": values["time"] >= content["run"]["t_end"],
-        "backends": values["backends"],
+        "time": time,
+        "steps": steps,
+        "finished": time >= content["run"]["t_end"],
+        "checkpoint": saved,
+        "backends": backends,
         "files": files,
-        "log": log.last(directory / "log.csv"),
+        "log": row,
     }
+
+
+def _file_info(path: Path) -> dict[str, Any]:
+    try:
+        with vtkhdf.Trajectory(path) as file:
+            last = float(file.times[-1]) if len(file) else None
+            return {"frames": len(file), "points": file.size, "time": last}
+    except (OSError, ValueError) as error:  # the others are told of all the same
+        return {"error": str(error).removeprefix(f"{path} ")}
+
+
+def _log_info(path: Path) -> dict[str, Any]:
+    try:
+        return log.last(path)
+    except DamagedError as error:
+        return {"error": error.reason}
+
+
+def _checkpoint_info(path: Path) -> tuple[dict[str, Any] | None, Any]:
+    try:
+        _, values = checkpoint.load(path)
+    except FileNotFoundError:
+        return None, []
+    except ValueError as error:
+        return {"error": str(error)}, []
+    return {"time": values["time"], "steps": values["integrator"]["steps"]}, values["backends"]
 
 
 class Field(NamedTuple):
@@ -219,6 +288,7 @@ def write_field(
     folder = Path(directory if destination is None else destination)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("field.vti", "streamlines.vtp")]
+    rundir.note(directory, *paths)
     name = "disturbance" if stored.unknown else "velocity"
     numbers = {"time": stored.time} | {f"error_{k}": v for k, v in error._asdict().items()}
     field.write_field(paths[0], grid, {name: values}, numbers)

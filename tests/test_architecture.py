@@ -54,7 +54,8 @@ ALLOWED = {
     "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
-    "mrs.bodies": {"mrs.state"},
+    "mrs.describe": set(),
+    "mrs.bodies": {"mrs.describe", "mrs.state"},
     "mrs.geometry": {"mrs.check", "mrs.rotations"},
     "mrs.flows": {"mrs.check"},
     "mrs.steric": {"mrs.check"},
@@ -70,8 +71,8 @@ ALLOWED = {
         "mrs.bodies", "mrs.simulation",  # their types
     },
     "mrs.simulation": {
-        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.profile", "mrs.rundir",
-        "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.flows", "mrs.mobility", "mrs.profile",
+        "mrs.rundir", "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
     "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs": {"mrs"},

@@ -12,10 +12,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from mrs import rundir
 from mrs.output.atomic import replacing
 from mrs.output.frames import Frames, trajectory_paths
 from mrs.output.vtkhdf import Topology, Trajectory
-from mrs.output.vtp import polydata, write_pvd
+from mrs.output.vtp import polydata, write_pvd, write_vtp
 
 if TYPE_CHECKING:
     import meshio
@@ -32,6 +33,9 @@ def export(
     frames: Iterable[int] | None = None,
 ) -> list[Path]:
     """Write frames of all trajectories of a run, ``<body>_000012.<format>`` for frame 12.
+
+    Files in the same folder of frames that a body does not have, which a longer run has left there,
+    are deleted.
 
     Parameters
     ----------
@@ -75,6 +79,7 @@ def export(
             known = Frames([trajectory])
             numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
             own = {i: destination / f"{path.stem}_{i:06d}.{suffix}" for i in numbers}
+            rundir.note(directory, *own.values())
             for i, file in own.items():
                 _write(trajectory, i, file)
         files += own.values()
@@ -84,6 +89,7 @@ def export(
                 old.unlink()
         if suffix in _WITH_LIST:
             lists.append(destination / f"{path.stem}.pvd")
+            rundir.note(directory, lists[-1])
             write_pvd(lists[-1], [(known.times[i], file.name) for i, file in own.items()])
     return files + lists
 
@@ -91,10 +97,11 @@ def export(
 def _write(trajectory: Trajectory, i: int, file: Path) -> None:
     """Write a frame in the format of the suffix."""
     frame = trajectory.points(i), trajectory.point_data(i), trajectory.cell_data(i)
+    if file.suffix == ".vtp":
+        write_vtp(file, polydata(trajectory.topology, *frame))
+        return
     with replacing(file) as temporary:
-        if file.suffix == ".vtp":
-            polydata(trajectory.topology, *frame).save(temporary)
-        elif file.suffix == ".xdmf":
+        if file.suffix == ".xdmf":
             _write_xdmf(temporary, trajectory.topology, *frame, time=trajectory.times[i])
         elif file.suffix == ".med":  # by HDF5, which crashes on a full disk
             content = io.BytesIO()

@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mrs.output.atomic import telling
+
+MACRO = Path("paraview") / "open_in_paraview.py"  # in the run directory
+
 _MACRO = '''"""Open this run. In ParaView: Tools > Python Shell > Run Script, or as a macro.
 
 From a terminal: paraview --script=open_in_paraview.py
@@ -105,7 +109,8 @@ def write_macro(directory: str | os.PathLike[str]) -> Path:
         Of the macro.
     """
     directory = Path(directory)
-    path = directory / "paraview" / "open_in_paraview.py"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
+    path = directory / MACRO
+    with telling(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
     return path
