@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from mrs.describe import described, own_code
 from mrs.state import State
 
 
@@ -35,6 +38,21 @@ class Body:
     has_force = True
     has_torque = False
     has_spin = False
+    made_with: Mapping[str, Any] = MappingProxyType({})
+
+    def parameters(self) -> dict[str, Any]:
+        """Return what makes this body what it is, as plain values.
+
+        A run does not go on with a body that says something else here than before. Those of the
+        package say the arguments that they were made with, `made_with`; those of a user's class
+        say all their attributes, and the code of their methods. A class whose attributes change
+        with time says here those that do not.
+        """
+        said = dict(self.made_with)
+        code = own_code(type(self))
+        if code:
+            said |= {name: value for name, value in vars(self).items() if name != "made_with"}
+        return described({"kind": self.kind, **said}) | code
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each point, (p,); `default` is the fluid's."""

@@ -162,6 +162,7 @@ class Rods(Body):
         radius: ArrayLike | None = None,
         name: str = "rods",
     ) -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         rods = [centerlines] if isinstance(centerlines, Centerline) else list(centerlines)
         if not rods or not all(isinstance(rod, Centerline) for rod in rods):
             raise TypeError(

@@ -7,7 +7,9 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from mrs import check, rundir, signals
 from mrs.bodies import Body
+from mrs.describe import described, differences
 from mrs.flows import Flow
 from mrs.mobility import BACKENDS, Backend, Mobility
 from mrs.profile import Profile
@@ -24,6 +27,9 @@ from mrs.steric import Steric
 from mrs.trackers import Output, Tracker, next_stop, standard_trackers
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
+_NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
+_WRITING = ("interval", "checkpoint_seconds", "live")
+_SAID_ELSEWHERE = ("t_end", "backend", "integrator", *_WRITING)  # of the options of a scenario
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
 
 
@@ -173,6 +179,7 @@ class Simulation:
             *check.instances("trackers", trackers, Tracker),
         ]
         self.resumed = False
+        self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
 
     def _assemble(self) -> None:
         """Lay the bodies out in flat arrays."""
@@ -326,9 +333,19 @@ class Simulation:
         """Return the positions and quaternions of one body."""
         return self._part(body).state(self.state)
 
-    def body_epsilons(self, body: Body) -> np.ndarray:
-        """Return the blob sizes at the points of one body."""
-        return self._epsilons[self._part(body).points]
+    def constant_fields(self, body: Body) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return arrays of one body at points and at cells that are the same in all frames.
+
+        With the blob sizes, since the velocity of the fluid follows from them.
+        """
+        epsilons = self._epsilons[self._part(body).points]
+        at_points, at_cells = body.constant_fields(epsilons)
+        return at_points | ({"epsilon": epsilons} if body.has_force else {}), at_cells
+
+    def point_count(self, body: Body) -> int:
+        """Return how many points one body has."""
+        points = self._part(body).points
+        return points.stop - points.start
 
     def frame(self, body: Body) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Return what a file shows of one body: its points, arrays at points and at cells."""
@@ -375,28 +392,90 @@ class Simulation:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
         arrays, history = self.stepper.history()
         arrays = {f"integrator/{name}": array for name, array in arrays.items()}
-        values = {"time": self.time, "integrator": history, "backends": self.mobility.history()}
+        values = {
+            "time": self.time,
+            "integrator": history,
+            "backends": self.mobility.history(),
+            "written": dict(self.written),
+            "scene": self.description,
+        }
         return arrays | self.state._asdict(), values
 
-    def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """What the scene is made of, and how it is computed and written, as plain values."""
+        options = (self.recipe or {}).get("options", {})
+        written = () if self.output is None else _WRITING
+        return described(
+            {
+                "options": {k: v for k, v in options.items() if k not in _SAID_ELSEWHERE},
+                "fluid": self.fluid,
+                "bodies": {body.name: body.parameters() for body in self.bodies},
+                "order": [body.name for body in self.bodies],
+                "steric": self.steric,
+                "backend": self.backend,
+                "integrator": self.integrator,
+                "output": {name: getattr(self.output, name) for name in written},
+            }
+        )
+
+    def restore(
+        self, arrays: dict[str, np.ndarray], values: dict[str, Any], *, changes: bool = False
+    ) -> None:
         """Take up a snapshot of the same scene.
+
+        Parameters
+        ----------
+        arrays, values : dict
+            From `snapshot`.
+        changes : bool, optional
+            Whether fluid, bodies or steric repulsion may be others than those of the snapshot.
 
         Raises
         ------
         ValueError
-            If it is of another number of points.
+            If it is of another number of points; or of another fluid, other bodies or another
+            repulsion, without `changes`. The message names each difference.
+
+        Warns
+        -----
+        UserWarning
+            Of each difference that is taken up: those, and of backend, integrator and output.
+
+        Notes
+        -----
+        Another backend chooses anew how to sum, another integrator begins with a new step size,
+        and after a change of the physics both do.
         """
+        found = differences(values["scene"], self.description)
+        physics = [d for d in found if d.place.partition(".")[0] not in _NUMERICS]
+        said = "".join(f"\n  {difference}" for difference in found)
         state = State(arrays["positions"], arrays["quaternions"])
         for name, mine, other in zip(State._fields, self.state, state, strict=True):
             if mine.shape != other.shape:
                 raise ValueError(
-                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}"
+                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}; a run "
+                    f"cannot go on with other numbers of points{said}"
                 )
+        if physics and not changes:
+            raise ValueError(
+                f"the scene is not that of the checkpoint:{said}\n"
+                "put this back; or, if the run is to go on with the change, say so with "
+                "`mrs resume DIRECTORY --changes` (changes=True)"
+            )
+        if found:
+            warnings.warn(f"from t = {values['time']:g} on:{said}", stacklevel=3)
+        changed = {d.place.partition(".")[0] for d in found} - {"output"}
         self.time, self.state, self.resumed = values["time"], state, True
+        self.written = dict(values["written"])
         prefix = "integrator/"
         own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
-        self.stepper.restore(own, values["integrator"])
-        self.mobility.restore(values["backends"])
+        if changed <= {"backend"}:
+            self.stepper.restore(own, values["integrator"])
+        else:
+            self.stepper.restore_counts(values["integrator"])
+        if changed <= {"integrator"}:
+            self.mobility.restore(values["backends"])
 
     # --- time ----------------------------------------------------------------------------------
 
@@ -495,7 +574,9 @@ class Simulation:
             "the integrator 'rkc2'"
         )
 
-    def run(self, t_end: float, *, max_walltime: float | None = None) -> Simulation:
+    def run(
+        self, t_end: float, *, max_walltime: float | None = None, renew_files: bool = False
+    ) -> Simulation:
         """Go on to time `t_end`.
 
         Parameters
@@ -504,6 +585,9 @@ class Simulation:
         max_walltime : float, optional
             Seconds after which the run stops in good order, before `t_end`; at least one step is
             taken.
+        renew_files : bool, optional
+            When an earlier run goes on: begin anew those of its files that are missing, cut short
+            or of another scene, instead of refusing to go on. What was there is kept beside.
 
         Returns
         -------
@@ -513,8 +597,11 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If the state, or what a user's function gives, would not be finite. The last good state
-            is in the checkpoint.
+            If the state, or what a user's function gives, would not be finite; the last good state
+            is in the checkpoint. If a file of the run that goes on is missing or damaged; nothing
+            is changed then.
+        FileExistsError
+            If the directory holds a run, or a file of a name that the run would write.
         KeyboardInterrupt
             After ctrl-C, or a signal that would end the process (SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
             SIGXCPU), with a checkpoint written, which further signals do not interrupt. A script
@@ -532,19 +619,45 @@ class Simulation:
             stopping = stack.enter_context(signals.stopping())
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
-                self._enter(self.output, stack)
+                self._enter(self.output, renew_files, stack)
             self._run(max_walltime, stopping)
         return self
 
-    def _enter(self, output: Output, stack: ExitStack) -> None:
+    def _enter(self, output: Output, renew_files: bool, stack: ExitStack) -> None:
         """Take the run directory."""
-        if not self.resumed:
-            rundir.require_free(output.directory, overwrite=output.overwrite)
-        stack.enter_context(rundir.held(output.directory))
+        directory = Path(output.directory)
+        stack.enter_context(rundir.held(directory))
+        files = [file for tracker in self.trackers for file in tracker.output_files(self)]
         if self.resumed:
-            rundir.extend(output.directory, self.t_end)
+            self._require_whole_files(directory, renew_files)
+            rundir.extend(directory, self.t_end, files)
         else:
-            rundir.begin(output.directory, self.recipe, self.t_end)
+            self.written.clear()
+            rundir.begin(directory, self.recipe, self.t_end, files, overwrite=output.overwrite)
+            stack.callback(self._discard_unstarted, directory)
+
+    def _discard_unstarted(self, directory: Path) -> None:
+        """Leave nothing of a start that failed before its first checkpoint and frame."""
+        if not self.written and not (directory / rundir.CHECKPOINT).exists():
+            rundir.discard(directory)
+
+    def _require_whole_files(self, directory: Path, renew_files: bool) -> None:
+        """Look at all files before any of them is touched."""
+        damaged: dict[Path, str] = {}
+        for tracker in self.trackers:
+            damaged |= tracker.damaged_files(self)
+        if damaged and not renew_files:
+            lines = [f"{path} {fault}" for path, fault in damaged.items()]
+            raise SimulationError(
+                f"the run cannot go on from t = {self.time:g}; nothing was changed\n  "
+                + "\n  ".join(lines)
+                + "\nput back what is missing or wrong, or let it begin anew from here with "
+                f"`mrs resume {directory} --renew-files` (run(..., renew_files=True)); damaged "
+                "files are then kept beside the new ones"
+            )
+        for path in damaged:
+            rundir.set_aside(path)
+            self.written.pop(path.name, None)
 
     def _run(self, max_walltime: float | None, stopping: signals.Stopping) -> None:
         begun: list[Tracker] = []

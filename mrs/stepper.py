@@ -117,6 +117,11 @@ class Stepper:
         self.steps, self.rejections = values["steps"], values["rejections"]
         self._renew_at = values["renew_at"]
 
+    def restore_counts(self, values: dict[str, Any]) -> None:
+        """Take up of a history how many steps there were, and choose the next one anew."""
+        self.steps, self.rejections = values["steps"], values["rejections"]
+        self._renew_at = self.steps
+
     def step(self, problem: Problem, time: float, state: State, stop: float) -> tuple[float, State]:
         """Return time and state after one accepted step, not beyond `stop`.
 

@@ -66,6 +66,7 @@ class Swimmers(Body):
         radius: ArrayLike | None = None,
         name: str = "swimmers",
     ) -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         count = len(self.positions)

@@ -27,6 +27,7 @@ class Tracers(Body):
     has_force = False
 
     def __init__(self, positions: ArrayLike, *, name: str = "tracers") -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         self.quaternions = np.empty((0, 4))

@@ -64,7 +64,8 @@ ALLOWED = {
     "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
-    "mrs.bodies": {"mrs.state"},
+    "mrs.describe": set(),
+    "mrs.bodies": {"mrs.describe", "mrs.state"},
     "mrs.geometry": {"mrs.check", "mrs.rotations"},
     "mrs.flows": {"mrs.check"},
     "mrs.steric": {"mrs.check"},
@@ -73,14 +74,15 @@ ALLOWED = {
     "mrs.rods": {"mrs.bodies", "mrs.check", "mrs.geometry", "mrs.rotations", "mrs.state"},
     "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
     "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
-    "mrs.rundir": {"mrs.output.atomic"},
+    "mrs.rundir": {"mrs.output.atomic", "treecode.version"},
+    "mrs.stored": {"mrs.flows", "mrs.mobility", "mrs.output"},
     "mrs.trackers": {
-        "mrs.check", "mrs.output", "mrs.rundir",
+        "mrs.check", "mrs.output", "mrs.rundir", "mrs.stored",
         "mrs.bodies", "mrs.simulation",  # their types
     },
     "mrs.simulation": {
-        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.profile", "mrs.rundir",
-        "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.flows", "mrs.mobility", "mrs.profile",
+        "mrs.rundir", "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
     "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs.scenarios": set(),  # found by name

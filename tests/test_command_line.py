@@ -100,10 +100,11 @@ def test_suffixes_in_capitals(own, tmp_path, capsys):
 @pytest.mark.parametrize("quick", [False, True])
 def test_options_that_nobody_reads_to_the_end(quick):
     """Without a word, as `head` expects."""
-    process = program("-m", "mrs.cli", "run", "cilia_array", "--options", *["--quick"] * quick)
-    process.stdout.close()
-    assert process.stderr.read() == ""
-    assert process.wait() == 141
+    options = ["--options", *["--quick"] * quick]
+    with program("-m", "mrs.cli", "run", "cilia_array", *options) as process:
+        process.stdout.close()
+        assert process.stderr.read() == ""
+        assert process.wait() == 141
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,11 @@ REASONS = {
     "hours": "of benchmarks",
 }
 RUN = {"bash", "python", "toml"}
+# page: commands that it builds on
+BEFORE = {
+    "docs/pictures.md": "mrs run swimmer_suspension --quick --set interval=0.002 --set t_end=0.03 "
+    "--output outputs/pullers",
+}
 # page: what stands there, and what takes its place; each must be there
 SMALLER = {
     "README.md": {
@@ -32,14 +37,20 @@ SMALLER = {
 }
 
 
+def name_of(page):
+    return page.relative_to(ROOT).as_posix()
+
+
 def blocks(page):
     """Return language, reason not to run or "", and code of the blocks of a page."""
     return [match.groups(default="") for match in BLOCK.finditer(page.read_text())]
 
 
 def programs(page):
-    """Return what to run in order: blocks of bash; then the Python of the page, and its scenes."""
+    """Yield what to run in order: blocks of bash; then the Python of the page, and its scenes."""
     found = {name: [] for name in RUN}
+    if name_of(page) in BEFORE:
+        found["bash"].append(BEFORE[name_of(page)])
     for language, reason, code in blocks(page):
         if language in RUN and not reason:
             found[language].append(code)
@@ -52,7 +63,7 @@ def programs(page):
 
 
 def smaller(page, code):
-    for old, new in SMALLER.get(str(page.relative_to(ROOT)), {}).items():
+    for old, new in SMALLER.get(name_of(page), {}).items():
         code = code.replace(old, new)
     return code
 
@@ -90,13 +101,13 @@ WITH_CODE = [page for page in PAGES if any(programs(page))]
 
 
 @pytest.mark.parametrize("size", [pytest.param("as it stands", marks=pytest.mark.slow), "smaller"])
-@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
 def test_code_runs(page, size, run):
     for language, code in programs(page):
         run(language, code if size == "as it stands" else smaller(page, code))
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_code_that_does_not_run_says_why(page):
     for language, reason, code in blocks(page):
         assert language in {*RUN, "", "text"}, code

@@ -40,9 +40,7 @@ def explain(kernel: Any, error: str) -> str:
     reason = _reason(error[:end])
     hint = next(hint for word, hint in _HINTS.items() if word in reason)
     name = type(kernel).__qualname__
-    return (
-        f"kernel {name} cannot be compiled: {reason}{where}\n  {hint} (see docs/add-a-kernel.md)"
-    )
+    return f"kernel {name} cannot be compiled: {reason}{where}\n  {hint} (see docs/add-a-kernel.md)"
 
 
 def _reason(error: str) -> str:
