@@ -60,7 +60,8 @@ def test_all_that_a_run_writes_is_noted(tmp_path):
 
 def test_a_list_that_a_killed_process_left_half_a_name_in(tmp_path):
     rundir.note(tmp_path, tmp_path / "a.png")
-    (tmp_path / "files.txt").open("a").write("b.p")
+    with (tmp_path / "files.txt").open("a") as listing:
+        listing.write("b.p")
     rundir.note(tmp_path, tmp_path / "c.png", tmp_path / "c.png")
     assert [path.name for path in rundir.noted(tmp_path)][-1] == "c.png"
     assert len(rundir.noted(tmp_path)) == len(set(rundir.noted(tmp_path)))
@@ -74,7 +75,8 @@ def test_a_list_never_leads_out_of_the_directory(tmp_path, lists):
     elsewhere.mkdir()
     (elsewhere / "thesis.tex").write_text("mine")
     (run / "elsewhere").symlink_to(elsewhere)
-    (run / "files.txt").open("a").write(f"{lists}\n{elsewhere / 'thesis.tex'}\n")
+    with (run / "files.txt").open("a") as listing:
+        listing.write(f"{lists}\n{elsewhere / 'thesis.tex'}\n")
     assert cli.main([*swim(run, 0.05), "--overwrite"]) == 0
     assert (elsewhere / "thesis.tex").read_text() == "mine"
 
@@ -117,6 +119,7 @@ def fail(*_):
     raise RuntimeError("no memory")
 
 
+@pytest.mark.filterwarnings("ignore:Checkpoints.finalize. no memory")  # the second attempt to save
 def test_a_start_that_fails_leaves_nothing(tmp_path, monkeypatch):
     """Neither a lock nor folders, whatever it is that fails before the first checkpoint."""
     deep = tmp_path / "a" / "b" / "c"
