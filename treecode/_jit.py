@@ -30,6 +30,7 @@ from uuid import uuid4
 import llvmlite
 import numba
 import numpy as np
+import numpy.ma  # else by numba in the first sum: a fork at that time would hang
 import platformdirs
 from llvmlite import ir
 from numba import types

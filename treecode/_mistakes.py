@@ -15,8 +15,8 @@ _HINTS = {
     "mask": "in place of if, and, or and not use treecode.where(condition, a, b)",
     "lanes": "distances and acc are lanes: they take + - * /, whole powers, comparisons, abs, "
     "math.sqrt, and of treecode inverse_sqrt, exp, log, erf and where",
-    "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in the "
-    "module, functions too, with numba.njit",
+    "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in "
+    "the module, functions too, with numba.njit",
     "": "numba compiles a part of Python: numbers, tuples, loops, functions with numba.njit",
 }
 
@@ -40,9 +40,7 @@ def explain(kernel: Any, error: str) -> str:
     reason = _reason(error[:end])
     hint = next(hint for word, hint in _HINTS.items() if word in reason)
     name = type(kernel).__qualname__
-    return (
-        f"kernel {name} cannot be compiled: {reason}{where}\n  {hint} (see docs/add-a-kernel.md)"
-    )
+    return f"kernel {name} cannot be compiled: {reason}{where}\n  {hint} (see docs/add-a-kernel.md)"
 
 
 def _reason(error: str) -> str:
@@ -51,4 +49,4 @@ def _reason(error: str) -> str:
     calls = [line[4:] for line in lines if line.startswith(">>> ")]
     if calls:
         return f"there is no {calls[0]}"
-    return next((line for line in lines[1:] if line), lines[0])[:200]
+    return next((line for line in lines[1:] if line), lines[0]).removesuffix("Raised").strip()[:200]
