@@ -1,5 +1,6 @@
 """Fast summation of the kernels of Stokes flow: direct, kernel-independent and Taylor treecodes."""
 
+from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
 from treecode.auto import Choice, ToleranceError
 from treecode.kernels import (
@@ -20,8 +21,11 @@ __all__ = [
     "Stokeslet",
     "StokesletStresslet",
     "ToleranceError",
+    "erf",
     "evaluate",
+    "exp",
     "inverse_sqrt",
+    "log",
     "relative_error",
     "where",
 ]

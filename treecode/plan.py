@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from typing import Any, TypeVar
 
-import numba
 import numpy as np
 
 from treecode import auto, check
+from treecode._jit import require_unchanged
 from treecode.backends.walk import PRECISIONS, Walk
 from treecode.fmm import multipole
 from treecode.fmm.operators import MAX_DEGREE
-from treecode.kernels.base import MEMBERS, Kernel
+from treecode.kernels.base import MEMBERS, Kernel, require_counts
+from treecode.threads import thread_count
 
 BACKENDS = ("auto", *auto.WALKS, "fmm")
 _DEGREES = {name: (module.MIN_DEGREE, 40) for name, module in auto.WALKS.items()}
@@ -88,6 +89,8 @@ class Plan:
         self.backend = check.one_of("backend", backend, BACKENDS)
         members = auto.WALKS[backend].KERNEL_MEMBERS if backend in auto.WALKS else MEMBERS
         self.kernel = check.kernel(kernel, backend, members)
+        require_counts(kernel)
+        require_unchanged(type(kernel))
         if theta is not None:
             theta = check.number("theta", theta, 0.0, 1.0)
         if degree is not None:
@@ -231,7 +234,7 @@ class Plan:
         return {
             "kernel": self.kernel,
             "backend": self._choice.backend if self._choice else self.backend,
-            "threads": numba.get_num_threads(),
+            "threads": thread_count(),
             "sources": sources,
             "targets": targets,
             **done,

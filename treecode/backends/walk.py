@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from types import ModuleType
 from typing import Any
 
-import numba
 import numpy as np
 
 from treecode.kernels.base import Kernel
@@ -73,10 +70,13 @@ class Walk:
         batches = -(-len(values) // BATCH_SIZE)
         notes = self._notes = np.zeros((batches, NOTES), np.int64)
         if len(strengths) and len(values):
-            with self.seconds.stage("weights"), _threads_for(len(strengths)):
+            # No more threads than batches of points: a sum of 76 points took 0.19 ms on one and
+            # 10 ms on two while another process computed.
+            most = -(-len(strengths) // BATCH_SIZE)
+            with self.seconds.stage("weights"), Threads(most=most) as threads:
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
-                load_weights(self.kernel, strengths, self.source_order, weights)
-                self._module.update(self._expansion, self._tree, self.sources, weights)
+                load_weights(self.kernel, strengths, self.source_order, weights, threads)
+                self._module.update(self._expansion, self._tree, self.sources, weights, threads)
             like = np.empty(0, self._dtype)
 
             def evaluate(some: slice) -> None:
@@ -127,17 +127,3 @@ class Walk:
         for name, column in (("near", NEAR_TICKS), ("far", FAR_TICKS)):
             self.seconds[name] = per_tick * float(ticks[column])
             self.seconds["walk"] -= self.seconds[name]
-
-
-@contextmanager
-def _threads_for(points: int) -> Iterator[None]:
-    """Wake no more threads than there are batches of points.
-
-    A sum of 76 points took 0.19 ms on one thread and 10 ms on two while another process computed.
-    """
-    threads = numba.get_num_threads()
-    numba.set_num_threads(min(threads, -(-points // BATCH_SIZE)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(threads)

@@ -9,7 +9,6 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 from threadpoolctl import ThreadpoolController
 
 from treecode.fmm import passes
@@ -18,6 +17,7 @@ from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_trans
 from treecode.fmm.store import get_level
 from treecode.fmm.symmetry import scale_powers
 from treecode.kernels.base import MEMBERS, Kernel
+from treecode.memory import memory_limit
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -140,7 +140,7 @@ class Multipole:
         with _blas_of_one_thread(), Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
-                load_weights(self.kernel, strengths, self.source_order, weights)
+                load_weights(self.kernel, strengths, self.source_order, weights, threads)
                 # A power of two: singles hold nothing below 1e-38, nor above 1e38.
                 unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
                 weights /= unit
@@ -278,7 +278,7 @@ class Multipole:
 
     def _require_memory(self, sizes: int) -> None:
         """Refuse operators that do not fit; estimated, as building them can take minutes."""
-        allowed = _MEMORY * psutil.virtual_memory().total / (sizes + _BUILDING)
+        allowed = _MEMORY * memory_limit() / (sizes + _BUILDING)
         per_rank2 = 35.0 * np.dtype(self._dtype).itemsize
         if per_rank2 * _rank(self.kernel, _SAFETY * self.tolerance) ** 2 > allowed:
             # Ranks are in proportion to the square of the digits.

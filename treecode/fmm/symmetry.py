@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from treecode._jit import serial_driver
+from treecode._jit import Driver
 from treecode.kernels.base import Kernel
 from treecode.pairs import accumulate
 
@@ -62,7 +62,7 @@ def tabulate(kernel: Kernel, points: np.ndarray) -> np.ndarray:
     return out.transpose(2, 1, 0)
 
 
-@serial_driver
+@Driver
 def _tabulate(kernel, points, origin, units, out):
     for c in range(out.shape[0]):
         accumulate(
