@@ -21,6 +21,8 @@ ALLOWED = {
     "treecode.memory": set(),
     "treecode.threads": set(),
     "treecode.timing": set(),
+    "treecode.locks": set(),
+    "treecode.accuracy": {"treecode.kernels.base"},
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {"treecode._jit", "treecode.threads", "treecode.tree"},
     "treecode.traversal": {
@@ -49,8 +51,9 @@ ALLOWED = {
     },
     "treecode.fmm": set(),
     "treecode.auto": {
-        "treecode.backends", "treecode.fmm.multipole", "treecode.kernels.base",
-        "treecode.traversal", "treecode.tree",
+        "treecode._lanes", "treecode.accuracy", "treecode.backends", "treecode.fmm.multipole",
+        "treecode.kernels.base", "treecode.pairs", "treecode.threads", "treecode.traversal",
+        "treecode.tree",
     },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},

@@ -197,6 +197,7 @@ class Chiral(NamedTuple):
     """Not its own mirror image: force to velocity along it and across it."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q
@@ -220,6 +221,7 @@ class Uneven(NamedTuple):
     """Lengths along x count for more: only y and z may change places."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q
