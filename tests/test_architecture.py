@@ -64,6 +64,9 @@ ALLOWED = {
     "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
+    "mrs.output.frames": {"mrs.output", "mrs.rundir"},  # which files are the run's own
+    "mrs.output.export": {"mrs.output", "mrs.rundir"},
+    "mrs.output.render": {"mrs.output", "mrs.rundir"},
     "mrs.describe": set(),
     "mrs.bodies": {"mrs.describe", "mrs.state"},
     "mrs.geometry": {"mrs.check", "mrs.rotations"},
