@@ -352,8 +352,7 @@ def test_memory_is_foreseen(monkeypatch, tol):
 
     def allowed(room):
         least = held * (1.0 + multipole._BUILDING / sizes) / multipole._MEMORY
-        machine = NamedTuple("machine", [("total", float)])(room * least)
-        monkeypatch.setattr(multipole.psutil, "virtual_memory", lambda: machine)
+        monkeypatch.setattr(multipole, "memory_limit", lambda: room * least)
         return tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points
 
     allowed(3.0)(points)

@@ -10,7 +10,7 @@ from typing import Any
 import numba
 
 _OURS = Path(__file__).parent, Path(numba.__file__).parent
-_PLACE = re.compile(r'(?:at|from|File) "?([^"\n(]+?)"?(?: \(|, line )(\d+)')
+_PLACE = re.compile(r'\b(?:at|from|File) "?((?:(?! at | from )[^"\n(])+?)"?(?: \(|, line )(\d+)')
 _HINTS = {
     "mask": "in place of if, and, or and not use treecode.where(condition, a, b)",
     "lanes": "distances and acc are lanes: they take + - * /, whole powers, comparisons, abs, "
