@@ -17,7 +17,7 @@ _HINTS = {
     "math.sqrt, and of treecode inverse_sqrt, exp, log, erf and where",
     "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in "
     "the module, functions too, with numba.njit",
-    "": "numba compiles a part of Python: numbers, tuples, loops, functions with numba.njit",
+    "": "numba compiles a part of Python: numbers, tuples, loops, and functions compiled by numba",
 }
 
 
