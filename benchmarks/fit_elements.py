@@ -56,8 +56,8 @@ def coefficients(bits: int, name: str) -> tuple[list[float], float]:
     """Return the coefficients of a fit from that of degree 0 on, and its error."""
     function, first, last, count, share = fits(bits)[name]
     with mp.workdps(60):
-        found, error = mp.chebyfit(function, [first, last], count, error=True)
-        return [float(c) for c in reversed(found)], float(error * share)
+        found, error = mp.chebyfit(function, [first, last], count, error=True, asc=True)
+        return [float(c) for c in found], float(error * share)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,8 @@ ALLOWED = {
     "treecode.memory": set(),
     "treecode.threads": set(),
     "treecode.timing": set(),
+    "treecode.locks": set(),
+    "treecode.accuracy": {"treecode.kernels.base"},
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {"treecode._jit", "treecode.threads", "treecode.tree"},
     "treecode.traversal": {
@@ -52,8 +54,9 @@ ALLOWED = {
     },
     "treecode.fmm": set(),
     "treecode.auto": {
-        "treecode.backends", "treecode.fmm.multipole", "treecode.kernels.base",
-        "treecode.traversal", "treecode.tree",
+        "treecode._lanes", "treecode.accuracy", "treecode.backends", "treecode.fmm.multipole",
+        "treecode.kernels.base", "treecode.pairs", "treecode.threads", "treecode.traversal",
+        "treecode.tree",
     },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
@@ -64,6 +67,9 @@ ALLOWED = {
     "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
+    "mrs.output.frames": {"mrs.output", "mrs.rundir"},  # which files are the run's own
+    "mrs.output.export": {"mrs.output", "mrs.rundir"},
+    "mrs.output.render": {"mrs.output", "mrs.rundir"},
     "mrs.describe": set(),
     "mrs.bodies": {"mrs.describe", "mrs.state"},
     "mrs.geometry": {"mrs.check", "mrs.rotations"},

@@ -28,6 +28,7 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
+import numpy.ma  # else by numba in the first sum: a fork at that time would hang
 from llvmlite import ir
 from numba import types
 from numba.core.caching import NullCache

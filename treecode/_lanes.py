@@ -109,15 +109,14 @@ def _register_operator(symbol: Any, compares: bool, emit: Any) -> None:
         lower_builtin(symbol, *pair)(lower)
 
 
-for _symbol, _name in (
-    (operator.add, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-):
-    _register_operator(
-        _symbol, False, lambda builder, a, b, n=_name: getattr(builder, n)(a, b, flags=_FLAGS)
-    )
+for _name in ("add", "sub", "mul", "div"):
+    _python = _name.replace("div", "truediv")
+    for _symbol in (getattr(operator, _python), getattr(operator, f"i{_python}")):
+        _register_operator(
+            _symbol,
+            False,
+            lambda builder, a, b, n=f"f{_name}": getattr(builder, n)(a, b, flags=_FLAGS),
+        )
 for _symbol, _name in (
     (operator.lt, "<"),
     (operator.le, "<="),

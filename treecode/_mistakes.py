@@ -10,14 +10,15 @@ from typing import Any
 import numba
 
 _OURS = Path(__file__).parent, Path(numba.__file__).parent
-_PLACE = re.compile(r'(?:at|from|File) "?([^"\n(]+?)"?(?: \(|, line )(\d+)')
+_PLACE = re.compile(r'\b(?:at|from|File) "?((?:(?! at | from )[^"\n(])+?)"?(?: \(|, line )(\d+)')
 _HINTS = {
     "mask": "in place of if, and, or and not use treecode.where(condition, a, b)",
     "lanes": "distances and acc are lanes: they take + - * /, whole powers, comparisons, abs, "
     "math.sqrt, and of treecode inverse_sqrt, exp, log, erf and where",
-    "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in the "
-    "module, functions too, with numba.njit",
-    "": "numba compiles a part of Python: numbers, tuples, loops, functions with numba.njit",
+    "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in "
+    "the module, and functions decorated with numba.jit",
+    "": "numba compiles a part of Python: numbers, tuples, loops, and functions decorated with "
+    "numba.jit",
 }
 
 
@@ -49,4 +50,4 @@ def _reason(error: str) -> str:
     calls = [line[4:] for line in lines if line.startswith(">>> ")]
     if calls:
         return f"there is no {calls[0]}"
-    return next((line for line in lines[1:] if line), lines[0])[:200]
+    return next((line for line in lines[1:] if line), lines[0]).removesuffix("Raised").strip()[:200]
