@@ -16,6 +16,7 @@ BLOCK = re.compile(r"^```(\w*)(?: \((\w+)\))?\n(.*?)^```$", re.M | re.S)
 REASONS = {
     "installs": "in an empty environment, as .ci/run does",
     "hours": "of benchmarks",
+    "elsewhere": "with a program that the tests do not install",
 }
 RUN = {"bash", "python", "toml"}
 # page: commands that it builds on

@@ -68,7 +68,8 @@ def _read(path: Path) -> Level | None:
     if not path.exists():
         return None
     try:
-        with np.load(path, allow_pickle=False) as file:
+        # Opened here, since numpy does not close what it finds damaged.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             fields: dict[str, Any] = {
                 name: int(file[name]) if name == "degree" else file[name]
                 for name in Level._fields
