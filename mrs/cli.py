@@ -8,6 +8,7 @@ import math
 import os
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -104,17 +105,32 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _camera(text: str) -> list[float]:
-    numbers = [float(word) for word in text.split(",")]
+    numbers = _numbers(text, float, ",")
     if len(numbers) != 9 or not all(map(math.isfinite, numbers)):
         raise argparse.ArgumentTypeError(f"must be nine numbers, got {text!r}")
     return numbers
 
 
 def _size(text: str) -> tuple[int, int]:
-    width, height = (int(word) for word in text.split(","))
-    if not 16 <= min(width, height) <= max(width, height) <= 10_000:
+    numbers = _numbers(text, int, ",")
+    if len(numbers) != 2 or not all(16 <= number <= 10_000 for number in numbers):
         raise argparse.ArgumentTypeError(f"must be two numbers from 16 to 10000, got {text!r}")
-    return width, height
+    return numbers[0], numbers[1]
+
+
+def _frames(text: str) -> int | slice:
+    numbers = _numbers(text, lambda word: int(word) if word else None, ":")
+    if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
+        raise argparse.ArgumentTypeError(f"must be a number or a range such as 0:20, got {text!r}")
+    return numbers[0] if len(numbers) == 1 else slice(*numbers)
+
+
+def _numbers(text: str, kind: Callable[[str], Any], separator: str) -> list[Any]:
+    """Return the numbers in a text, none if one of them is not of that kind."""
+    try:
+        return [kind(word) for word in text.split(separator)]
+    except ValueError:
+        return []
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -240,14 +256,13 @@ def _render(options: argparse.Namespace) -> None:
     from mrs.output.render import render
 
     destination = options.output or options.directory / "picture.png"
-    frame: Any = options.frame if destination.suffix == ".png" else "all"
     camera = (
         None if options.camera is None else [tuple(options.camera[i : i + 3]) for i in (0, 3, 6)]
     )
     render(
         options.directory,
         destination,
-        frame=frame,
+        frame=options.frame,
         color_by=options.color_by,
         camera=camera,
         size=options.size,
@@ -256,8 +271,13 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _field(options: argparse.Namespace) -> None:
-    for path in runs.write_field(options.directory, options.frame, options.resolution):
-        print(path)
+    found = runs.write_field(options.directory, options.frame, options.resolution, options.output)
+    print(*found.paths, sep="\n")
+    print(
+        f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
+        f"{found.error.rounding:.1e} by stored single precision; "
+        f"{found.error.at_bodies:.1e} beside the velocities stored with the frame"
+    )
 
 
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
@@ -269,7 +289,6 @@ _GOING: dict[str, dict[str, Any]] = {
     },
     "--profile": {"action": "store_true", "help": "print a table of where the time went"},
 }
-_FRAME = {"--frame": {"type": int, "default": -1, "help": "number of the frame (default the last)"}}
 
 # name: (action, what it does, arguments as argparse takes them)
 _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
@@ -342,7 +361,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
             **_DIRECTORY,
             "--format": {
                 "default": "vtp",
-                "help": "vtp, vtu, xdmf or what else meshio writes (default %(default)s)",
+                "help": "vtp, vtu, xdmf, vtk or med (default %(default)s)",
             },
             "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY/FORMAT"},
         },
@@ -357,7 +376,12 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "FILE",
                 "help": "default DIRECTORY/picture.png; the suffix says what",
             },
-            **_FRAME,
+            "--frame": {
+                "type": _frames,
+                "metavar": "N|A:B",
+                "help": "of a picture, the number of its frame (default the last; --frame=-2 from "
+                "the end); of a film, frames as Python counts, such as 10:20 or ::2 (default all)",
+            },
             "--color-by": {
                 "metavar": "FIELD",
                 "help": "a field at points or rods, such as velocity or tension",
@@ -380,12 +404,17 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         "velocity on a grid around the bodies, and streamlines",
         {
             **_DIRECTORY,
-            **_FRAME,
+            "--frame": {
+                "type": int,
+                "default": -1,
+                "help": "number of the frame (default the last)",
+            },
             "--resolution": {
                 "type": int,
                 "default": 40,
                 "help": "grid points along the longest side (default %(default)s)",
             },
+            "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY"},
         },
     ),
 }

@@ -111,7 +111,7 @@ def begin(
         raise
 
 
-def note(directory: str | Path, *files: str | Path) -> None:
+def note(directory: str | os.PathLike[str], *files: str | Path) -> None:
     """Note files as the run's own, before they are written: `--overwrite` deletes them.
 
     Parameters

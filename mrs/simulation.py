@@ -332,9 +332,14 @@ class Simulation:
         """Return the positions and quaternions of one body."""
         return self._part(body).state(self.state)
 
-    def body_epsilons(self, body: Body) -> np.ndarray:
-        """Return the blob sizes at the points of one body."""
-        return self._epsilons[self._part(body).points]
+    def constant_fields(self, body: Body) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Return arrays of one body at points and at cells that are the same in all frames.
+
+        With the blob sizes, since the velocity of the fluid follows from them.
+        """
+        epsilons = self._epsilons[self._part(body).points]
+        at_points, at_cells = body.constant_fields(epsilons)
+        return at_points | ({"epsilon": epsilons} if body.has_force else {}), at_cells
 
     def point_count(self, body: Body) -> int:
         """Return how many points one body has."""

@@ -16,6 +16,7 @@ from tqdm import tqdm
 from mrs import check, rundir
 from mrs.output import checkpoint, live, log, paraview, vtkhdf
 from mrs.output.atomic import DamagedError, WriteError, replacing, sync
+from mrs.stored import fluid_meta
 
 if TYPE_CHECKING:
     from mrs.bodies import Body
@@ -217,9 +218,10 @@ class Trajectories(_BodyFiles):
         assert body is not None
         if path.exists():
             return vtkhdf.cut(path, sim.time)
-        constant = body.constant_fields(sim.body_epsilons(body))
-        meta = {"kind": body.kind, **rundir.versions(), **_META}
-        vtkhdf.create(path, vtkhdf.Topology(*body.topology()), *constant, meta)
+        fluid = sim.fluid.viscosity, sim.fluid.background, sim.backend.tolerance
+        meta = {"kind": body.kind, **rundir.versions(), **_META, **fluid_meta(*fluid)}
+        topology = vtkhdf.Topology(*body.topology())
+        vtkhdf.create(path, topology, *sim.constant_fields(body), meta)
         return None
 
     def write(self, sim: Simulation, path: Path, body: Body | None) -> None:
@@ -247,10 +249,11 @@ class Live(_BodyFiles):
 
     def write(self, sim: Simulation, path: Path, body: Body | None) -> None:
         assert body is not None
-        points, at_points, at_cells = sim.frame(body)
-        topology = vtkhdf.Topology(*body.topology())
+        points, *varying = sim.frame(body)
+        pairs = zip(sim.constant_fields(body), varying, strict=True)
+        arrays = (constant | changing for constant, changing in pairs)
         rundir.note(self.directory, live.next_frame(path))
-        live.append(path, sim.time, topology, points, at_points, at_cells)
+        live.append(path, sim.time, vtkhdf.Topology(*body.topology()), points, *arrays)
 
 
 class Log(_Frames):

@@ -65,8 +65,9 @@ ALLOWED = {
     "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
     "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
     "mrs.rundir": {"mrs.output.atomic"},
+    "mrs.stored": {"mrs.flows", "mrs.mobility", "mrs.output"},
     "mrs.trackers": {
-        "mrs.check", "mrs.output", "mrs.rundir",
+        "mrs.check", "mrs.output", "mrs.rundir", "mrs.stored",
         "mrs.bodies", "mrs.simulation",  # their types
     },
     "mrs.simulation": {

@@ -208,7 +208,7 @@ def test_a_frame_that_is_not_there(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
     assert cli.main(["field", str(run), "--frame", "2"]) == 1
-    assert "flagellum.vtkhdf has 2 frames, none number 2" in capsys.readouterr().err
+    assert f"frame: {run} has 2 frames, none number 2" in capsys.readouterr().err
     assert cli.main(["field", str(run), "--frame", "-2", "--resolution", "3"]) == 0
 
 

@@ -21,6 +21,25 @@ from paraview.simple import *
 RUN = Path({directory!r})
 
 
+def opened(path):
+    """Return a reader of a trajectory, or of its frames where ParaView is older than 5.12."""
+    lists = [path.with_suffix(".pvd"), RUN / "vtp" / (path.stem + ".pvd")]
+    for file in [path, *filter(Path.exists, lists)]:
+        try:
+            data = OpenDataFile(str(file))
+            data.UpdatePipeline()
+        except RuntimeError:  # no reader for such files
+            continue
+        if data.GetDataInformation().GetNumberOfPoints():
+            return data
+        Delete(data)
+    print(
+        f"{{path.name}}: no points read. ParaView before 5.12 cannot read it; the command "
+        f"`mrs export {{RUN}}` writes frames that it can, then run this macro again."
+    )
+    return None
+
+
 def fields(data):
     return set(data.keys())
 
@@ -60,9 +79,10 @@ def show_tracers(data, view):
 
 
 view = GetActiveViewOrCreate("RenderView")
-for path in sorted(RUN.glob("*.vtkhdf")):
-    data = OpenDataFile(str(path))
-    data.UpdatePipeline()
+for path in sorted(RUN.glob("[!.]*.vtkhdf")):
+    data = opened(path)
+    if data is None:
+        continue
     if "orientation" in fields(data.PointData):
         show_swimmers(data, view)
     elif "arclength" in fields(data.PointData):
