@@ -27,6 +27,30 @@ from tqdm import tqdm
 from benchmarks.machine import machine_today, publish
 from tests.cases import apart, tolerance
 
+PROMISE = """## What a tolerance promises
+
+`tol`, and `tolerance` of a simulation's backend, is the relative error in the Euclidean norm (K eq.
+8.1), |u - exact| / |exact|, over the targets of each group, for values of each unit apart:
+velocities have one, angular velocities another. `Plan.set_points(sources, targets, groups)` takes
+the groups; all targets are one by default. It does not bound each target: where values are small
+beside those of the group they may be off by more.
+
+* The first `execute` chooses a sum and samples its error, as a mean square and two of its standard
+  deviations, at 400 targets, or 50 of each group. A sum that misses is done again, more accurately.
+* Every later `execute` as long as two million pairs looks at up to 16 targets, three at least of a
+  group. If all but the worst of a group are off by twice `tol`, the error is sampled and, if it is
+  too large, another sum chosen. Shorter sums are not watched: `refine` samples them.
+* What cannot be kept is refused with a `ToleranceError`; `CancellationError` where direct sums in
+  doubles cannot either.
+* By hand (`degree`) nothing is sampled: `estimate_error` tells. "fmm" with a degree aims at `tol`.
+* In a simulation groups are bodies. What counts is the total of all blob sizes, forces and torques:
+  a sum that others cancel is asked for as much more, at the first evaluation and every 50 steps.
+  Bodies without forces have sums of their own. `Simulation.velocity` and `mrs field` choose for the
+  points at hand. Where not even direct sums keep the tolerance, they are what is used.
+
+## Measured
+"""
+
 CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "kernel": lambda row: row["kernel"],
     "points": lambda row: row["points"],
@@ -83,6 +107,7 @@ def table(
 def about(count: int, largest: int) -> list[str]:
     return [
         "# Asked and achieved errors\n",
+        PROMISE,
         f"{count} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",
         f"{largest} points, strengths that are random, without a net force, or pairs that",
         "push against each other, and tolerances from 1e-10 to 1e-2. Errors, K eq. (8.1), by the",

@@ -107,10 +107,16 @@ def test_files_of_another_owner(folder, monkeypatch):
         assert counts() == MISS
 
 
-def test_no_home(folder, monkeypatch, tmp_path):
-    """A user without one is given "~", which is no folder to make where one happens to be."""
+def no_home(*arguments, **options):
+    raise RuntimeError("could not determine the home directory")
+
+
+@pytest.mark.parametrize("answer", [no_home, lambda *a, **k: "~/.cache/treecode"])
+def test_no_home(answer, folder, monkeypatch, tmp_path):
+    """A user without one; older platformdirs answer with a folder "~"."""
     monkeypatch.setattr(_jit._CONFIG, "CACHE_DIR", "")
-    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", lambda *a, **k: "~/.cache/treecode")
+    monkeypatch.setattr(cache, "_warned", set())
+    monkeypatch.setattr(cache.platformdirs, "user_cache_dir", answer)
     monkeypatch.chdir(tmp_path)
     with pytest.warns(RuntimeWarning, match=r"no home folder.*NUMBA_CACHE_DIR"):
         assert [counts(), counts()] == [MISS, MISS]

@@ -16,9 +16,8 @@ _HINTS = {
     "lanes": "distances and acc are lanes: they take + - * /, whole powers, comparisons, abs, "
     "math.sqrt, and of treecode inverse_sqrt, exp, log, erf and where",
     "Unknown attribute": "compiled code knows of a kernel its fields alone: constants belong in "
-    "the module, and functions decorated with numba.jit",
-    "": "numba compiles a part of Python: numbers, tuples, loops, and functions decorated with "
-    "numba.jit",
+    "the module, functions too, with numba.jit",
+    "": "numba compiles a part of Python: numbers, tuples, loops, functions with numba.jit",
 }
 
 

@@ -45,9 +45,11 @@ def folder() -> Path | None:
 
     That is ``NUMBA_CACHE_DIR`` if it is set, else a folder of the user's.
     """
-    root = _CONFIG.CACHE_DIR or platformdirs.user_cache_dir("treecode", appauthor=False)
-    # A user without a home is given a folder "~".
-    return None if str(root).startswith("~") else Path(root)
+    try:
+        root = _CONFIG.CACHE_DIR or platformdirs.user_cache_dir("treecode", appauthor=False)
+    except RuntimeError:  # a user without a home
+        return None
+    return None if str(root).startswith("~") else Path(root)  # from older platformdirs
 
 
 def contents() -> list[Kept]:

@@ -2,7 +2,8 @@
 
 HDF5's own way to a file locks it, refuses one that the same process has open for reading, and ends
 in a crash where a write fails. Here a file is plain bytes: whoever reads it stops nobody. From the
-first write that fails nothing more is written, as if the process had been killed there.
+first write that fails, or that ctrl-C interrupts, nothing more is written, as if the process had
+been killed there.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class File(h5py.File):
         If there is no such file to read.
     DamagedError
         If it is cut short, or no HDF5 file.
-    OSError
-        From `sync` and `close`: the first write that failed.
+    OSError, KeyboardInterrupt
+        From `sync` and `close`: what stopped the first write that failed.
     """
 
     def __init__(self, path: Path, mode: str) -> None:
@@ -68,7 +69,7 @@ class File(h5py.File):
 class _Bytes(io.FileIO):
     """What HDF5 reads and writes; it is told that a write has failed by `failure` alone."""
 
-    failure: OSError | None = None
+    failure: BaseException | None = None
 
     def write(self, data: memoryview) -> int:  # type: ignore[override]
         if self.failure is None:
@@ -76,7 +77,7 @@ class _Bytes(io.FileIO):
                 rest = data
                 while len(rest):  # a nearly full disk takes a part
                     rest = rest[super().write(rest) :]
-            except OSError as error:
+            except BaseException as error:  # ctrl-C as well
                 self.failure = error
         return len(data)
 
@@ -84,6 +85,6 @@ class _Bytes(io.FileIO):
         if self.failure is None:
             try:
                 return super().truncate(size)
-            except OSError as error:
+            except BaseException as error:  # ctrl-C as well
                 self.failure = error
         return 0
