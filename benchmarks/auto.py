@@ -2,11 +2,12 @@
 
     python -m benchmarks.auto [--points 1000 3000 ...] [--tol 1e-2 1e-4 ...] [--output FILE]
 
-Regularized Stokeslets with random forces, one thread. Processor time from points to values, the
-least of several laps in turns: of "direct" a sum at 2000 targets is scaled; of "kitc" and "taylor"
-the fastest of theta, degree and leaf size that reach the tolerance; all three in single precision
-where that does; of "fmm" the largest of its tolerances that does.
-Operators are built before. Rows are kept in --rows, so that the command goes on where it ended.
+Regularized Stokeslets with random forces, on one thread. Times are processor time from points to
+values, the least of several laps in turns. "direct" is scaled from a sum at 2000 targets. "kitc"
+and "taylor" are the fastest of theta, degree and leaf size that reach the tolerance. All three
+are in single precision where that reaches it. "fmm" has the largest of its tolerances that
+reaches it. Its operators are built before. Rows are kept in --rows, so that the command goes on
+where it ended.
 """
 
 from __future__ import annotations
@@ -167,8 +168,8 @@ def main() -> None:
     lines = [
         '# Backend "auto" beside the best of each backend\n',
         *__doc__.split("\n\n")[2].splitlines(),
-        "`ratio` is `auto` to the smallest of the four before it, `first` its first sum, with the",
-        "look at a few targets and the sampled error.\n",
+        "`ratio` is the time of `auto` over the smallest of the four before it. `first` is its",
+        "first sum, with the probe at a few targets and the sampled error.\n",
         machine_today() + ".\n",
         "| " + " | ".join(COLUMNS) + " |",
         "|---" * len(COLUMNS) + "|",

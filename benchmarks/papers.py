@@ -176,16 +176,20 @@ def notes(tables: Tables) -> Iterator[str]:
     """Yield what a reader has to know."""
     yield "# Errors beside the printed ones"
     yield ""
-    yield f"Seed {tables.seed}; E is K eq. (8.1), at {tables.samples:,} random targets at most. A"
-    yield "target decides for itself what is far, so its value does not depend on the others:"
-    yield f"{tables.sampling():.1e} is the largest relative difference to a full run at N = 10K."
+    yield f"Points have seed {tables.seed}. E is K eq. (8.1), at {tables.samples:,} random targets"
+    yield "at most. A target decides for itself which clusters are far, so that its value does not"
+    yield "depend on the other targets: the largest relative difference to a full run at N = 10K is"
+    yield f"{tables.sampling():.1e}."
     yield ""
-    yield '"No self": the term j = i is left out of both sums, as in the published program; it'
-    yield "changes the norm only. Regularized sums include it, singular ones never do. A ratio is"
-    yield "ours over printed, with a star outside [0.5, 2]. Pairs are per target: target and source"
-    yield "near, target and term of an expansion far. Organisms: directions isotropic, or from"
-    yield '[0, 1]^3 and normalised ("one octant"); "shuffled" gives the forces to other particles.'
-    yield "Sphere: normals outward, or given to other particles. See benchmarks/point_sets.py."
+    yield '"No self" leaves the term j = i out of both sums, as the published program does. This'
+    yield "changes the norm only. Regularized sums include the term, singular ones never do. A"
+    yield "ratio is ours over the printed one, with a star outside [0.5, 2]. Pairs are for each"
+    yield "target. A near pair is a target and a source, a far pair a target and a term of an"
+    yield "expansion."
+    yield ""
+    yield 'Organisms have isotropic directions, or directions from [0, 1]^3, normalised ("one'
+    yield 'octant"). "Shuffled" gives the forces to other particles. On the sphere normals are'
+    yield "outward, or given to other particles. See benchmarks/point_sets.py."
 
 
 def parse() -> argparse.Namespace:

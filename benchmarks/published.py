@@ -3,11 +3,11 @@
     git clone https://github.com/Treecodes/stokes-treecode
     python -m benchmarks.published stokes-treecode [--turns 1] [--output FILE]
 
-K example 1 (theta 0.7, n = 7) and T example 2 (theta 0.5, p = 6), N0 = 2000; ours also with what
-keeps E below the 3.17e-5 that K prints. Needs g++. Constants of their programs are set, and they
-end before their direct sum; their seconds are those that they print. They sort the points but not
-the forces, and leave out the self term: E, K eq. (8.1) at 2000 targets, is against direct sums of
-the same.
+The sums are K example 1 (theta 0.7, n = 7) and T example 2 (theta 0.5, p = 6), with N0 = 2000.
+Ours are also made with the parameters that keep E below the 3.17e-5 that K prints. The command
+needs g++. It sets constants of their programs, and lets them end before their direct sum. Their
+seconds are those that they print. Their programs sort the points but not the forces, and leave
+out the self term. E is K eq. (8.1) at 2000 targets, against direct sums that do the same.
 """
 
 from __future__ import annotations

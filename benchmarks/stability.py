@@ -39,7 +39,8 @@ def main() -> None:
     options = parser.parse_args()
     lines = [
         "# Stability\n",
-        "What is asked at the limits, what happened, and the bound. A rounding is 2^-53, theta is",
+        "Each case asks for something at a limit. The tables have the number that was found, and",
+        "its bound. A rounding is 2^-53. Theta is",
         f"{test_stability.THETA} where no other is named.\n",
         f"{machine_today()}.",
     ]

@@ -1,6 +1,7 @@
 """Elastic rods and swimmers in very viscous fluid, by the method of regularized Stokeslets."""
 
 from mrs import flows, geometry, rotations
+from mrs.bodies import Body
 from mrs.mobility import Backend
 from mrs.rods import Drive, Rods, TravellingWave
 from mrs.runs import restart, resume
@@ -14,6 +15,7 @@ from mrs.trackers import Output, Tracker
 
 __all__ = [
     "Backend",
+    "Body",
     "Check",
     "Drive",
     "Fluid",

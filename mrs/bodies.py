@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from mrs.describe import described, own_code
 from mrs.state import State
 
 
@@ -24,7 +27,7 @@ class Body:
     positions, quaternions : ndarray
         The state at time zero.
     length_scale : float
-        Errors of positions are judged against it.
+        Errors of positions are judged against it; 0 for points that have no length.
     """
 
     kind: str
@@ -35,6 +38,21 @@ class Body:
     has_force = True
     has_torque = False
     has_spin = False
+    made_with: Mapping[str, Any] = MappingProxyType({})
+
+    def parameters(self) -> dict[str, Any]:
+        """Return what makes this body what it is, as plain values.
+
+        A run does not go on with a body that says something else here than before. Those of the
+        package say the arguments that they were made with, `made_with`; those of a user's class
+        say all their attributes, and the code of their methods. A class whose attributes change
+        with time says here those that do not.
+        """
+        said = dict(self.made_with)
+        code = own_code(type(self))
+        if code:
+            said |= {name: value for name, value in vars(self).items() if name != "made_with"}
+        return described({"kind": self.kind, **said}) | code
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each point, (p,); `default` is the fluid's."""
@@ -57,6 +75,10 @@ class Body:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return velocities of the positions, (n, 3), and angular velocities, (m, 3)."""
         raise NotImplementedError
+
+    def pieces(self) -> np.ndarray:
+        """Return for each position the number of its connected piece, (n,); all one by default."""
+        return np.zeros(len(self.positions), np.int64)
 
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for each point the number of its connected piece, its place, the piece's round.

@@ -1,53 +1,147 @@
-"""Refusals: those of `treecode.check`, and of vectors."""
+"""Refusals: those of `treecode.check`, of arrays, of what users' functions give, of misspelling."""
 
 from __future__ import annotations
 
+import difflib
+import functools
+import inspect
 import re
-from typing import Any
+import reprlib
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import numpy as np
 
-from treecode.check import LARGEST_COORDINATE, integer, number, one_of, points, positive, rows
+from treecode.check import (
+    LARGEST_COORDINATE,
+    integer,
+    number,
+    one_of,
+    points,
+    positive,
+    rows,
+    unmasked,
+)
 
 __all__ = [
+    "FunctionError",
+    "NotFiniteValueError",
     "broadcast",
     "computable",
     "direction",
     "file_name",
+    "flag",
+    "function",
     "instance",
+    "instances",
     "integer",
+    "nearest",
+    "not_negative",
     "number",
     "one_of",
     "points",
     "positive",
+    "real",
     "rows",
+    "shaped",
+    "spelling",
+    "unmasked",
     "vector",
     "vectors",
 ]
 
+_Called = TypeVar("_Called", bound=Callable[..., Any])
+
+
+class FunctionError(ValueError):
+    """What a user's function gives cannot be used."""
+
+
+class NotFiniteValueError(FunctionError):
+    """It gave something that is not finite, as it may where a step that is too long has led."""
+
+
+_short = reprlib.Repr()
+_short.maxstring = _short.maxother = 80
+
+
+def real(name: str, value: Any) -> np.ndarray:
+    """Return `value` as an array of real numbers, none of them masked."""
+    unmasked(name, value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        raise ValueError(f"{name} must have rows of one length, got {_short.repr(value)}") from None
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold real numbers, got {_short.repr(value)}")
+    return array
+
+
+def shaped(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Return `value`, finite and of one of `shapes`, as float64."""
+    array = real(name, value)
+    if array.shape not in shapes:
+        allowed = " or ".join(map(str, shapes))
+        raise ValueError(f"{name} must have shape {allowed}, got shape {array.shape}")
+    return _within(name, array.astype(np.float64), -np.inf)
+
 
 def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.inf) -> np.ndarray:
     """Return `value`, finite and greater than `low`, broadcast to `shape` as float64."""
-    array = np.asarray(value)
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, got {value!r}")
+    array = real(name, value)
     try:
         array = np.array(np.broadcast_to(array, shape), np.float64)
     except ValueError:
         raise ValueError(
-            f"{name} must have a shape that fits {shape}, got shape {array.shape}"
+            f"{name} must be a number, or have shape {shape}, got shape {array.shape}"
         ) from None
-    if not (np.isfinite(array) & (array > low)).all():
+    return _within(name, array, low)
+
+
+def _within(name: str, array: np.ndarray, low: float) -> np.ndarray:
+    bad = np.argwhere(~(np.isfinite(array) & (array > low)))
+    if len(bad):
+        place = tuple(bad[0].tolist())
         bound = "" if low == -np.inf else f" and greater than {low:g}"
-        raise ValueError(f"{name} must be finite{bound}, got {value!r}")
+        where = f" at {name}[{', '.join(map(str, place))}]" if place else ""
+        raise ValueError(f"{name} must be finite{bound}, got {array[place]}{where}")
     return array
+
+
+def not_negative(name: str, value: Any, high: float = 1e60) -> float:
+    """Return `value` as a float from zero to below `high`."""
+    return number(name, value, 0.0, high, low_inclusive=True)
+
+
+def flag(name: str, value: Any) -> bool:
+    """Return `value` if it is True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise TypeError(f"{name} must be True or False, got {value!r}")
+    return bool(value)
 
 
 def instance(name: str, value: Any, *kinds: type) -> Any:
     """Return `value` if it is of one of `kinds`."""
     if not isinstance(value, kinds):
         allowed = " or ".join("None" if k is type(None) else f"mrs.{k.__name__}" for k in kinds)
-        raise TypeError(f"{name} must be {allowed}, got {value!r}")
+        raise TypeError(f"{name} must be {allowed}, got {_short.repr(value)}")
+    return value
+
+
+def instances(name: str, values: Any, kind: type) -> tuple[Any, ...]:
+    """Return `values`, any number of `kind`, as a tuple."""
+    if isinstance(values, kind) or not isinstance(values, Iterable):
+        raise TypeError(
+            f"{name} must be a list of mrs.{kind.__name__}, in brackets also a single one, "
+            f"got {_short.repr(values)}"
+        )
+    return tuple(instance(f"{name}[{i}]", value, kind) for i, value in enumerate(values))
+
+
+def function(name: str, value: Any, of: str) -> Any:
+    """Return `value` if it can be called."""
+    if not callable(value):
+        raise TypeError(f"{name} must be a function of {of}, got {_short.repr(value)}")
     return value
 
 
@@ -61,17 +155,34 @@ def file_name(name: str, value: Any) -> str:
     return value
 
 
-def vectors(name: str, value: Any, count: int) -> np.ndarray:
-    """Return what a user's function gave: (count, 3), or (3,) for all alike."""
-    array = np.asarray(value, float)
+def vectors(name: str, value: Any, count: int, where: Callable[[int], str]) -> np.ndarray:
+    """Return what a user's function gave: (count, 3), or (3,) for all alike; all of it finite.
+
+    Parameters
+    ----------
+    name : str
+    value : array_like
+    count : int
+    where : callable
+        Says of a row which place and time it belongs to.
+
+    Raises
+    ------
+    FunctionError
+    """
+    array = np.asarray(real(name, value), float)
     if array.shape not in ((3,), (count, 3)):
-        raise ValueError(f"{name} must give shape (3,) or ({count}, 3), got {array.shape}")
-    return np.broadcast_to(array, (count, 3))
+        raise FunctionError(f"{name} must give shape (3,) or ({count}, 3), got {array.shape}")
+    array = np.broadcast_to(array, (count, 3))
+    if not np.isfinite(array).all():
+        row = int(np.argmin(np.isfinite(array).all(axis=1)))
+        raise NotFiniteValueError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
+    return array
 
 
 def vector(name: str, value: Any) -> np.ndarray:
     """Return `value` as a finite (3,) float64 array."""
-    return broadcast(name, value, (3,))
+    return shaped(name, value, (3,))
 
 
 def direction(name: str, value: Any) -> np.ndarray:
@@ -87,3 +198,31 @@ def computable(points: np.ndarray, loads: np.ndarray) -> bool:
     """Return whether points and loads are in the range of the sums."""
     within = np.abs(points).max(initial=0.0) <= LARGEST_COORDINATE  # false for nan as well
     return bool(within and np.isfinite(loads).all())
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the nearest of `names`; nothing if none is near."""
+    close = difflib.get_close_matches(name, names, n=1)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def spelling(what: _Called) -> _Called:
+    """Let a class or function name the nearest of its arguments to one that it does not have.
+
+    Python 3.13 does so by itself.
+    """
+    function = what.__init__ if isinstance(what, type) else what  # type: ignore[misc]
+    names = [name for name in inspect.signature(function).parameters if name != "self"]
+
+    @functools.wraps(function)
+    def called(*arguments: Any, **options: Any) -> Any:
+        for name in options:
+            if name not in names:
+                near = nearest(name, names) or f"; there are {', '.join(names)}"
+                raise TypeError(f"{what.__name__} has no argument {name!r}{near}")
+        return function(*arguments, **options)
+
+    if not isinstance(what, type):
+        return called  # type: ignore[return-value]
+    what.__init__ = called  # type: ignore[misc]
+    return what

@@ -5,13 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import signal
+import os
 import sys
 import traceback
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mrs import runs, scenario
+from mrs import runs, scenario, signals
 from mrs.rundir import tomllib
 from mrs.scenario import ScenarioError
 from mrs.simulation import Simulation
@@ -24,23 +25,60 @@ examples:
   mrs run my_scene.toml --max-walltime 3600        stops in good order after an hour
   mrs resume outputs/pullers                       goes on from the last checkpoint
   mrs render outputs/pullers --output movie.mp4
+
+exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the checked number FAILED;
+2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
+_READER_GONE = 141  # as shells report a program that SIGPIPE ends
+# What is said in a line. Other errors are the program's own, and their tracebacks are wanted.
+_TOLD = (
+    ArithmeticError,
+    EOFError,
+    ImportError,
+    IndexError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; return the exit status."""
     options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as ctrl-C: stop with a checkpoint
     try:
-        return options.action(options) or 0
-    except KeyboardInterrupt:
-        print("stopped; go on with `mrs resume`", file=sys.stderr)
-        return 130
-    except (ArithmeticError, IndexError, OSError, RuntimeError, TypeError, ValueError) as error:
+        with signals.stopping():
+            status = options.action(options) or 0
+            sys.stdout.flush()
+            return status
+    except KeyboardInterrupt as stop:
+        going = getattr(options, "going", None)
+        advice = f"; go on with `mrs resume {going}`" if going else ""
+        print(f"{str(stop) or 'stopped'}{advice}", file=sys.stderr)
+        return 128 + getattr(stop, "number", signals.CTRL_C)
+    except _TOLD as error:
+        if isinstance(error, BrokenPipeError) and _reader_is_gone():
+            return _READER_GONE
         if _in_users_file(error):
             raise
-        print(f"mrs: {error}", file=sys.stderr)
+        print(f"mrs: {_said(error)}", file=sys.stderr)
         return 1
+
+
+def _said(error: BaseException) -> str:
+    text = str(error) or type(error).__name__
+    return f"not enough memory: {text}" if isinstance(error, MemoryError) else text
+
+
+def _reader_is_gone() -> bool:
+    """Return whether what reads the output, such as `head`, has ended; then print no more."""
+    try:
+        print(flush=True)  # what broke may be another pipe, such as that to the encoder of a film
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return True
+    return False
 
 
 def _in_users_file(error: Exception) -> bool:
@@ -67,40 +105,58 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _camera(text: str) -> list[float]:
-    numbers = [float(word) for word in text.split(",")]
+    numbers = _numbers(text, float, ",")
     if len(numbers) != 9 or not all(map(math.isfinite, numbers)):
         raise argparse.ArgumentTypeError(f"must be nine numbers, got {text!r}")
     return numbers
 
 
 def _size(text: str) -> tuple[int, int]:
-    width, height = (int(word) for word in text.split(","))
-    if not 16 <= min(width, height) <= max(width, height) <= 10_000:
+    numbers = _numbers(text, int, ",")
+    if len(numbers) != 2 or not all(16 <= number <= 10_000 for number in numbers):
         raise argparse.ArgumentTypeError(f"must be two numbers from 16 to 10000, got {text!r}")
-    return width, height
+    return numbers[0], numbers[1]
 
 
-def _run(options: argparse.Namespace) -> None:
+def _frames(text: str) -> int | slice:
+    numbers = _numbers(text, lambda word: int(word) if word else None, ":")
+    if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
+        raise argparse.ArgumentTypeError(f"must be a number or a range such as 0:20, got {text!r}")
+    return numbers[0] if len(numbers) == 1 else slice(*numbers)
+
+
+def _numbers(text: str, kind: Callable[[str], Any], separator: str) -> list[Any]:
+    """Return the numbers in a text, none if one of them is not of that kind."""
+    try:
+        return [kind(word) for word in text.split(separator)]
+    except ValueError:
+        return []
+
+
+def _run(options: argparse.Namespace) -> int:
     name = options.scene
     values: dict[str, Any] = {}
-    if name.endswith(".toml"):
+    if Path(name).suffix.lower() == ".toml":
         name, values = runs.read_input(name)
     for item in options.set:
         _assign(values, item)
     scene = scenario.make(name, values, quick=options.quick)
     if options.options:
         _print_options(scene)
-        return
+        return 0
     directory = options.output or Path("outputs") / Path(options.scene).stem
     sim = scene.simulation(directory, overwrite=options.overwrite)
     sim.trackers.extend(_trackers(options))
+    options.going = directory
     sim.run(scene.t_end, max_walltime=options.max_walltime)
-    _report(sim, scene, directory)
+    options.going = None
+    passed = _report(sim, scene, directory)
     if options.picture:
         from mrs.output.render import render
 
         render(directory, directory / "picture.png")
         print(directory / "picture.png")
+    return 0 if passed else 1
 
 
 def _trackers(options: argparse.Namespace) -> list[Tracker]:
@@ -129,21 +185,33 @@ def _print_options(scene: scenario.Scenario) -> None:
         print(f"{name} = {json.dumps(values[name])}\n    {field.description or ''}")
 
 
-def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> None:
+def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
+    """Say what a run has come to; return False if it is at its end with a wrong number."""
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
         f"{sim.stepper.rejections} rejected, {sim.mobility.evaluations} evaluations by {names}"
     )
-    if sim.time >= sim.t_end:
-        print(scene.check(sim))
+    if sim.time < sim.t_end:
+        return True
+    result = scene.check(sim)
+    print(result)
+    return result.passed
 
 
-def _resume(options: argparse.Namespace) -> None:
+def _resume(options: argparse.Namespace) -> int:
+    options.going = options.directory
     sim = runs.resume(
-        options.directory, options.t_end, _trackers(options), max_walltime=options.max_walltime
+        options.directory,
+        options.t_end,
+        _trackers(options),
+        max_walltime=options.max_walltime,
+        changes=options.changes,
+        renew_files=options.renew_files,
     )
-    _report(sim, runs.scenario_of(options.directory), options.directory)
+    options.going = None
+    passed = _report(sim, runs.scenario_of(options.directory), options.directory)
+    return 0 if passed else 1
 
 
 def _info(options: argparse.Namespace) -> None:
@@ -151,13 +219,19 @@ def _info(options: argparse.Namespace) -> None:
     if options.json:
         print(json.dumps(found, indent=2))
         return
+    saved = found["checkpoint"] or {"error": "no checkpoint yet"}
     state = "finished" if found["finished"] else "not finished"
     print(
         f"{found.get('scenario', 'script')}: t = {found['time']:g} of {found['run']['t_end']:g}, "
-        f"{found['steps']} steps, {state}"
+        f"{found['steps']} steps, {state}; "
+        + saved.get("error", f"checkpoint at t = {saved.get('time', 0.0):g}")
     )
     for name, file in found["files"].items():
-        print(f"  {name}: {file['frames']} frames of {file['points']} points")
+        until = "" if file.get("time") is None else f", the last at t = {file['time']:g}"
+        told = file.get("error") or f"{file['frames']} frames of {file['points']} points{until}"
+        print(f"  {name}: {told}")
+    if "error" in found["log"]:
+        print(f"  log.csv: {found['log']['error']}")
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -182,14 +256,13 @@ def _render(options: argparse.Namespace) -> None:
     from mrs.output.render import render
 
     destination = options.output or options.directory / "picture.png"
-    frame: Any = options.frame if destination.suffix == ".png" else "all"
     camera = (
         None if options.camera is None else [tuple(options.camera[i : i + 3]) for i in (0, 3, 6)]
     )
     render(
         options.directory,
         destination,
-        frame=frame,
+        frame=options.frame,
         color_by=options.color_by,
         camera=camera,
         size=options.size,
@@ -198,8 +271,13 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _field(options: argparse.Namespace) -> None:
-    for path in runs.write_field(options.directory, options.frame, options.resolution):
-        print(path)
+    found = runs.write_field(options.directory, options.frame, options.resolution, options.output)
+    print(*found.paths, sep="\n")
+    print(
+        f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
+        f"{found.error.rounding:.1e} by stored single precision; "
+        f"{found.error.at_bodies:.1e} beside the velocities stored with the frame"
+    )
 
 
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
@@ -211,7 +289,6 @@ _GOING: dict[str, dict[str, Any]] = {
     },
     "--profile": {"action": "store_true", "help": "print a table of where the time went"},
 }
-_FRAME = {"--frame": {"type": int, "default": -1, "help": "number of the frame (default the last)"}}
 
 # name: (action, what it does, arguments as argparse takes them)
 _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
@@ -220,7 +297,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         "begin a run",
         {
             "scene": {
-                "metavar": "SCENARIO|FILE.toml|FILE.py",
+                "metavar": "SCENARIO|FILE.toml|FILE.py[:CLASS]",
                 "help": f"one of {', '.join(scenario.known())}; or a file",
             },
             "--quick": {"action": "store_true", "help": "a small version that ends within seconds"},
@@ -247,6 +324,16 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         {
             **_DIRECTORY,
             "--t-end": {"type": float, "help": "a new end of simulated time"},
+            "--changes": {
+                "action": "store_true",
+                "help": "go on with other physics than before, after options were edited in "
+                "config.toml",
+            },
+            "--renew-files": {
+                "action": "store_true",
+                "help": "begin files anew that are missing, damaged or of another scene; "
+                "damaged ones are kept beside",
+            },
             **_GOING,
         },
     ),
@@ -274,7 +361,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
             **_DIRECTORY,
             "--format": {
                 "default": "vtp",
-                "help": "vtp, vtu, xdmf or what else meshio writes (default %(default)s)",
+                "help": "vtp, vtu, xdmf, vtk or med (default %(default)s)",
             },
             "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY/FORMAT"},
         },
@@ -289,7 +376,12 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "FILE",
                 "help": "default DIRECTORY/picture.png; the suffix says what",
             },
-            **_FRAME,
+            "--frame": {
+                "type": _frames,
+                "metavar": "N|A:B",
+                "help": "of a picture, the number of its frame (default the last; --frame=-2 from "
+                "the end); of a film, frames as Python counts, such as 10:20 or ::2 (default all)",
+            },
             "--color-by": {
                 "metavar": "FIELD",
                 "help": "a field at points or rods, such as velocity or tension",
@@ -312,12 +404,17 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         "velocity on a grid around the bodies, and streamlines",
         {
             **_DIRECTORY,
-            **_FRAME,
+            "--frame": {
+                "type": int,
+                "default": -1,
+                "help": "number of the frame (default the last)",
+            },
             "--resolution": {
                 "type": int,
                 "default": 40,
                 "help": "grid points along the longest side (default %(default)s)",
             },
+            "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY"},
         },
     ),
 }

@@ -22,6 +22,7 @@ class Flow(Protocol):
         """Return the curl of the velocity, (N, 3)."""
 
 
+@check.spelling
 class QuadraticFlow:
     """A steady flow U_i = c_i + G_ij x_j + Q_ijk x_j x_k, which covers the next three as well.
 
@@ -39,10 +40,10 @@ class QuadraticFlow:
         If the flow is not free of divergence.
     """
 
-    def __init__(self, gradient: Any = 0.0, quadratic: Any = 0.0, constant: Any = 0.0) -> None:
-        self.constant = check.broadcast("constant", constant, (3,))
-        self.gradient = check.broadcast("gradient", gradient, (3, 3))
-        quadratic = check.broadcast("quadratic", quadratic, (3, 3, 3))
+    def __init__(self, gradient: Any = None, quadratic: Any = None, constant: Any = None) -> None:
+        self.constant = _zero_or("constant", constant, (3,))
+        self.gradient = _zero_or("gradient", gradient, (3, 3))
+        quadratic = _zero_or("quadratic", quadratic, (3, 3, 3))
         self.quadratic = 0.5 * (quadratic + quadratic.transpose(0, 2, 1))
         scale = np.abs(self.gradient).max()
         if abs(np.trace(self.gradient)) > 1e-12 * scale:
@@ -63,47 +64,51 @@ class QuadraticFlow:
         return _curl(self.gradient) + points @ (2.0 * _curl(self.quadratic)).T
 
 
+def _zero_or(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
+    return np.zeros(shape) if value is None else check.shaped(name, value, shape)
+
+
 def _curl(gradient: np.ndarray) -> np.ndarray:
     """Return the curl for G_ij, or for G_ij of each component of a vector, G_ijk: (3, ...)."""
     g = gradient
     return np.stack([g[2, 1] - g[1, 2], g[0, 2] - g[2, 0], g[1, 0] - g[0, 1]])
 
 
+@check.spelling
 def shear(rate: float) -> QuadraticFlow:
     """Return U = (rate z, 0, 0)."""
+    rate = check.number("rate", rate, -np.inf, np.inf)
     return QuadraticFlow(gradient=[[0.0, 0.0, rate], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 
 
+@check.spelling
 def extension(rate: float) -> QuadraticFlow:
     """Return U = rate (x, -y/2, -z/2), uniaxial extension along x."""
+    rate = check.number("rate", rate, -np.inf, np.inf)
     return QuadraticFlow(gradient=np.diag([rate, -0.5 * rate, -0.5 * rate]))
 
 
+@check.spelling
 def poiseuille(speed: float, radius: float) -> QuadraticFlow:
     """Return U = speed (1 - (y^2 + z^2) / radius^2) along x, as in a tube of that radius."""
+    speed = check.number("speed", speed, -np.inf, np.inf)
     quadratic = np.zeros((3, 3, 3))
     quadratic[0, 1, 1] = quadratic[0, 2, 2] = -speed / check.positive("radius", radius) ** 2
     return QuadraticFlow(quadratic=quadratic, constant=[speed, 0.0, 0.0])
 
 
+@check.spelling
 class UserFlow:
     """A flow of one's own, from two functions of points, (N, 3), and time.
 
     Parameters
     ----------
     velocity, vorticity : callable
-        Each returns (N, 3); `vorticity` is the curl of `velocity`. Vorticity turns the triads of
-        rods; without rods in the scene it may be left out.
+        Each returns (N, 3), or (3,) for all points alike; `vorticity` is the curl of `velocity`.
+        Vorticity turns the triads of rods; without rods in the scene it may be left out.
     """
 
     def __init__(self, velocity: Field, vorticity: Field | None = None) -> None:
-        self.velocity = _checked("velocity", velocity)
+        self.velocity = check.function("velocity", velocity, "points and time")
         if vorticity is not None:
-            self.vorticity = _checked("vorticity", vorticity)
-
-
-def _checked(name: str, field: Field) -> Field:
-    """Return `field` with its values checked at every call."""
-    if not callable(field):
-        raise TypeError(f"{name} must be a function of points and time, got {field!r}")
-    return lambda points, time: check.vectors(name, field(points, time), len(points))
+            self.vorticity = check.function("vorticity", vorticity, "points and time")

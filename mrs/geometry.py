@@ -24,23 +24,30 @@ class Centerline(NamedTuple):
     def moved(self, shift: Any = (0.0, 0.0, 0.0), rotation: Any = None) -> Centerline:
         """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
         turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
+        if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
+            raise TypeError(
+                f"rotation must be one scipy.spatial.transform.Rotation, got {rotation!r}"
+            )
         quaternions = rotations.multiply(turn.as_quat(), self.quaternions)
         return Centerline(
             turn.apply(self.nodes) + check.vector("shift", shift), quaternions, self.closed
         )
 
 
+@check.spelling
 def straight(
     length: float, nodes: int, *, origin: Any = (0, 0, 0), direction: Any = (0, 0, 1)
 ) -> Centerline:
     """Return a straight rod of `nodes` nodes from `origin` along `direction`."""
     check.positive("length", length)
     check.integer("nodes", nodes, 2)
+    check.vector("origin", origin)
     line = np.linspace(0.0, length, nodes)[:, None] * np.array([0.0, 0.0, 1.0])
     triads = np.tile(rotations.IDENTITY, (nodes, 1))
     return Centerline(line, triads).moved(origin, _turn_from_z(direction))
 
 
+@check.spelling
 def helix(
     radius: float,
     pitch: float,
@@ -73,6 +80,8 @@ def helix(
     check.positive("length", length)
     check.integer("nodes", nodes, 2)
     check.one_of("handedness", handedness, ("right", "left"))
+    check.number("phase", phase, -np.inf, np.inf)
+    check.vector("origin", origin)
     z = np.linspace(0.0, length, nodes)
     k = (2.0 if handedness == "right" else -2.0) * np.pi / pitch
     angle = k * z + phase
@@ -87,6 +96,7 @@ def helix(
     )
 
 
+@check.spelling
 def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 0)) -> Centerline:
     """Return a closed circle in the x-y plane, its triads turned `twist` radians in one round.
 
@@ -95,6 +105,7 @@ def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 
     """
     check.positive("radius", radius)
     check.integer("nodes", nodes, 3)
+    check.number("twist", twist, -np.inf, np.inf)
     angle = 2.0 * np.pi * np.arange(nodes) / nodes
     outward = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(nodes)])
     tangents = np.column_stack([-np.sin(angle), np.cos(angle), np.zeros(nodes)])
@@ -104,6 +115,7 @@ def ring(radius: float, nodes: int, *, twist: float = 0.0, origin: Any = (0, 0, 
     return Centerline(radius * outward + check.vector("origin", origin), triads, closed=True)
 
 
+@check.spelling
 def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0)) -> Centerline:
     """Return the shape that a rod of constant intrinsic strain takes: exact discrete equilibrium.
 
@@ -123,6 +135,7 @@ def at_rest(strain: Any, spacing: float, nodes: int, *, origin: Any = (0, 0, 0))
     strain = check.vector("strain", strain)
     check.positive("spacing", spacing)
     check.integer("nodes", nodes, 2)
+    check.vector("origin", origin)
     rate = np.linalg.norm(strain)
     if 0.5 * rate * spacing >= 1.0:
         raise ValueError(f"spacing: {spacing} is too long; at most {2 / rate:.3g} for this strain")

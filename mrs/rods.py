@@ -16,11 +16,13 @@ from mrs.state import State
 Strain = Callable[[np.ndarray, np.ndarray], Any]
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Drive:
     """How the first node of each rod is moved: by constants, or by functions of time.
 
-    A function takes the rods' own times, (rods,), and returns (3,) or (rods, 3).
+    Constants are (3,), or (rods, 3). A function takes the rods' own times, (rods,), and returns
+    one of these.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -28,13 +30,30 @@ class Drive:
     velocity: Any = (0.0, 0.0, 0.0)
     angular_velocity: Any = (0.0, 0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        for name, motion in vars(self).items():
+            if not callable(motion):
+                array = check.real(name, motion)
+                if array.ndim not in (1, 2) or array.shape[-1] != 3:
+                    raise ValueError(
+                        f"{name} must be a function of time, or have shape (3,) or (rods, 3), "
+                        f"got shape {array.shape}"
+                    )
+                check.shaped(name, array, array.shape)  # finite
 
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether one of the two is a function."""
+        return callable(self.velocity) or callable(self.angular_velocity)
+
+
+@check.spelling
 @dataclass(frozen=True)
 class TravellingWave:
     """A wave of preferred curvature, ``amplitude sin(2 pi (s / wavelength - t / period))``.
 
     `amplitude` holds the components about D1, D2 and D3, radians per length. With a negative
-    period the wave runs towards s = 0.
+    `period` the wave runs towards s = 0.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -42,6 +61,12 @@ class TravellingWave:
     amplitude: Sequence[float]
     wavelength: float
     period: float
+
+    def __post_init__(self) -> None:
+        check.vector("amplitude", self.amplitude)
+        check.positive("wavelength", self.wavelength)
+        if check.number("period", self.period, -np.inf, np.inf) == 0.0:
+            raise ValueError("period must not be zero")
 
     def __call__(self, s: np.ndarray, t: np.ndarray) -> np.ndarray:
         phase = 2.0 * np.pi * (s / self.wavelength - t / self.period)
@@ -63,6 +88,7 @@ class Elasticity(NamedTuple):
     """D_i . X_s - delta_i3: shear along D1 and D2, stretch along D3, (segments, 3)."""
 
 
+@check.spelling
 class Rods(Body):
     """Elastic rods, many at once; each may differ from the others.
 
@@ -71,30 +97,32 @@ class Rods(Body):
     centerlines : Centerline or sequence of Centerline
         Shapes at time zero (`mrs.geometry`). A segment's rest length is its present one, along D3.
     bending : float or array_like
-        Moduli a1, a2 (force times length squared); broadcast to (rods, 2).
+        Moduli a1, a2 (force times length squared). A number is both of all rods; (rods,) is one
+        number a rod, both of it; rows [[a1, a2]], (1, 2) or (rods, 2), are the two apart. Shape
+        (2,) is refused, since it could be meant either way.
     twisting : float or array_like
-        Modulus a3; broadcast to (rods,).
+        Modulus a3: a number for all rods, or (rods,).
     shearing : float or array_like
-        Moduli b1, b2 (force); broadcast to (rods, 2).
+        Moduli b1, b2 (force), as `bending`.
     stretching : float or array_like
-        Modulus b3; broadcast to (rods,).
+        Modulus b3: a number for all rods, or (rods,).
     intrinsic_curvature : "initial", array_like or callable, optional
         The strain (Omega_1, Omega_2, Omega_3) at which the rods are free of moments: two
-        curvatures and a twist, radians per length. "initial" is that of the centrelines; else an
-        array that broadcasts to (segments, 3), or a function of (s, t), both (segments,): arclength
-        of the segments' middles from the first node of their rod, and the rod's own time.
+        curvatures and a twist, radians per length. "initial" is that of the centrelines; else (3,)
+        for all segments, (segments, 3), or a function of (s, t), both (segments,): arclength of the
+        segments' middles from the first node of their rod, and the rod's own time.
     beat : callable, optional
         A function of (s, t) as above that is added, for example a `TravellingWave`.
     delay : float or array_like, optional
-        By how much each rod's own time is behind the time, broadcast to (rods,): phases of
-        metachronal waves.
+        By how much each rod's own time is behind the time, a number or (rods,): phases of
+        metachronal waves. Refused where nothing depends on the rods' own time.
     base : {"free", "clamped"} or Drive, optional
         What happens to the first node and its triad. A base that is held or driven hands its load
         to whatever holds it, not to the fluid.
     epsilon : float, optional
         Blob size; the fluid's by default.
     radius : float or array_like, optional
-        Of the rods in pictures, broadcast to (rods,); epsilon / sqrt(e) by default, which gives a
+        Of the rods in pictures, a number or (rods,); epsilon / sqrt(e) by default, which gives a
         rod of that radius its drag.
     name : str, optional
         Of the output file.
@@ -133,28 +161,27 @@ class Rods(Body):
         radius: Any = None,
         name: str = "rods",
     ) -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         rods = [centerlines] if isinstance(centerlines, Centerline) else list(centerlines)
         if not rods or not all(isinstance(rod, Centerline) for rod in rods):
             raise TypeError(
                 f"centerlines must be one or more mrs.geometry.Centerline, got {centerlines!r}"
             )
         self.name = check.file_name("name", name)
-        self.positions = check.points("centerlines", np.concatenate([rod.nodes for rod in rods]))
-        quaternions = np.concatenate([rod.quaternions for rod in rods])
-        self.quaternions = rotations.normalize(
-            check.rows("centerlines", quaternions, 4, len(self.positions))
-        )
+        nodes, triads = zip(*(_checked(rod, i) for i, rod in enumerate(rods)), strict=True)
+        self.positions = np.concatenate(nodes)
+        self.quaternions = rotations.normalize(np.concatenate(triads))
         self.base = (
             base if isinstance(base, Drive) else check.one_of("base", base, ("free", "clamped"))
         )
         self._connect(rods)
         count = len(rods)
         self._moduli = self._by_segment(
-            check.broadcast("bending", bending, (count, 2), 0.0),
+            _transverse("bending", bending, count),
             check.broadcast("twisting", twisting, (count,), 0.0),
         )
         self._stiffness = self._by_segment(
-            check.broadcast("shearing", shearing, (count, 2), 0.0),
+            _transverse("shearing", shearing, count),
             check.broadcast("stretching", stretching, (count,), 0.0),
         )
         self._measure()
@@ -162,7 +189,8 @@ class Rods(Body):
         self._set_intrinsic(intrinsic_curvature, beat)
         if isinstance(self.base, Drive):
             for what in ("velocity", "angular_velocity"):
-                check.broadcast(f"base: {what}", self._at_bases(what, 0.0), (count, 3))
+                self._at_bases(what, 0.0)
+        self._require_own_time(delay)
         self.epsilon = None if epsilon is None else check.positive("epsilon", epsilon)
         self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
 
@@ -212,15 +240,12 @@ class Rods(Body):
         if isinstance(intrinsic, str):
             check.one_of("intrinsic_curvature", intrinsic, ("initial",))
             intrinsic = self._initial_strain
-        self._intrinsic = (
-            intrinsic
-            if callable(intrinsic)
-            else check.broadcast("intrinsic_curvature", intrinsic, shape)
-        )
-        if beat is not None and not callable(beat):
-            raise TypeError(f"beat must be a function of (s, t), got {beat!r}")
-        self._beat = beat
-        check.broadcast("intrinsic_curvature", self.intrinsic_curvature(0.0), shape)
+        if not callable(intrinsic):
+            given = check.shaped("intrinsic_curvature", intrinsic, (3,), shape)
+            intrinsic = np.array(np.broadcast_to(given, shape))
+        self._intrinsic = intrinsic
+        self._beat = None if beat is None else check.function("beat", beat, "(s, t)")
+        self.intrinsic_curvature(0.0)  # refuses what the functions give
 
     def intrinsic_curvature(self, time: float) -> np.ndarray:
         """Return the strain without moments, (segments, 3)."""
@@ -228,12 +253,28 @@ class Rods(Body):
             return self._intrinsic
         s = self.arclength[self._left] + 0.5 * self.spacing
         t = (time - self._delay)[self.rod_of_segment]
-        fixed = self._intrinsic
-        if callable(fixed):
-            fixed = check.vectors("intrinsic_curvature", fixed(s, t), len(s))
-        return (
-            fixed if self._beat is None else fixed + check.vectors("beat", self._beat(s, t), len(s))
-        )
+
+        def where(row: int) -> str:
+            rod = self.rod_of_segment[row]
+            return f"for rod {rod} of {self.name!r} at s = {s[row]:g} and its own time {t[row]:g}"
+
+        strain = self._intrinsic
+        if callable(strain):
+            strain = check.vectors("intrinsic_curvature", strain(s, t), len(s), where)
+        if self._beat is not None:
+            strain = strain + check.vectors("beat", self._beat(s, t), len(s), where)
+        return strain
+
+    def _require_own_time(self, delay: Any) -> None:
+        """Refuse a delay that would change nothing."""
+        timed = self._beat is not None or callable(self._intrinsic)
+        if isinstance(self.base, Drive):
+            timed = timed or self.base.depends_on_time
+        if self._delay.any() and not timed:
+            raise ValueError(
+                "delay must be 0 where nothing depends on the rods' own time: there is no beat, "
+                f"and neither intrinsic_curvature nor base is a function; got {delay!r}"
+            )
 
     def elasticity(self, time: float, state: State) -> Elasticity:
         """Return strains halfway between the nodes."""
@@ -308,12 +349,21 @@ class Rods(Body):
 
     def _at_bases(self, what: str, time: float) -> np.ndarray:
         motion = getattr(self.base, what)
-        value = motion(time - self._delay) if callable(motion) else motion
-        return check.vectors(f"base: {what}", value, len(self.first))
+        t = time - self._delay
+        value = motion(t) if callable(motion) else motion
+
+        def where(row: int) -> str:
+            return f"for rod {row} of {self.name!r} at its own time {t[row]:g}"
+
+        return check.vectors(f"base: {what}", value, len(self.first), where)
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each node, (nodes,)."""
         return np.full(len(self.positions), default if self.epsilon is None else self.epsilon)
+
+    def pieces(self) -> np.ndarray:
+        """Return the rod of each node, (nodes,)."""
+        return self.rod_of_node
 
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return rods, arclengths of the nodes, and the lengths of closed rods."""
@@ -353,3 +403,32 @@ class Rods(Body):
             total[side] += values
             count[side] += 1.0
         return total / count
+
+
+def _checked(rod: Centerline, number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes and quaternions of a centreline."""
+    name = f"centerlines[{number}]"
+    nodes = check.points(f"{name}.nodes", rod.nodes)
+    quaternions = check.rows(f"{name}.quaternions", rod.quaternions, 4, len(nodes))
+    if not quaternions.any(axis=1).all():
+        raise ValueError(f"{name}.quaternions must not be zero")
+    return nodes, quaternions
+
+
+def _transverse(name: str, value: Any, count: int) -> np.ndarray:
+    """Return moduli about, or along, D1 and D2 from one of the shapes that mean one thing."""
+    array = check.real(name, value)
+    if array.shape == (2,):
+        a, b = array.tolist()
+        raise ValueError(
+            f"{name}: [{a}, {b}] could be meant for two rods or for two directions; write "
+            f"[[{a}, {b}]] for D1 and D2 of every rod, or [[{a}], [{b}]] for one number a rod"
+        )
+    columns = array[:, None] if array.ndim == 1 else array
+    if columns.shape not in ((), (1, 1), (1, 2), (count, 1), (count, 2)):
+        raise ValueError(
+            f"{name} must be a number, or have shape ({count},) for one number a rod, or (1, 2) or "
+            f"({count}, 2) for rows [D1, D2], got shape {array.shape}"
+        )
+    check.broadcast(name, array, array.shape, 0.0)
+    return np.array(np.broadcast_to(columns, (count, 2)), np.float64)

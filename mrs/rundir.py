@@ -1,12 +1,17 @@
-"""A run directory: its configuration, and what made it."""
+"""A run directory: its configuration, what made it, and which of its files are the run's own.
+
+Every file that a run, or a command on it, writes there is noted in `files.txt`, one name a line.
+Overwriting a run deletes these and no others.
+"""
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -15,7 +20,7 @@ from typing import Any
 import tomli_w
 from filelock import FileLock, Timeout
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import replacing, telling, temporary_name
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -23,55 +28,160 @@ else:
     import tomli as tomllib
 
 CONFIG = "config.toml"
-_WRITTEN = ("checkpoint*.h5", "log.csv", "profile.csv", "*.vtkhdf")
-
-
-def require_free(directory: str | Path, *, overwrite: bool) -> None:
-    """Refuse a directory that holds a run, unless `overwrite`, or anything else but no run.
-
-    Raises
-    ------
-    FileExistsError
-    """
-    directory = Path(directory)
-    present = sorted(path.name for path in directory.iterdir()) if directory.is_dir() else []
-    if present and not _content(directory):
-        raise FileExistsError(
-            f"{directory} holds {present[0]!r} and no run; choose an empty directory"
-        )
-    if present and not overwrite:
-        raise FileExistsError(
-            f"{directory} holds a run; resume it, choose another, or overwrite it"
-        )
+CHECKPOINT = "checkpoint.h5"
+_FILES = "files.txt"
+_HEADER = "# Files of this run; `mrs run --overwrite` deletes these and no others."
+_LOCK = ".lock"
 
 
 @contextmanager
 def held(directory: str | Path) -> Iterator[None]:
-    """Keep other processes from running in a directory, which is made if it is missing.
+    """Keep other processes from running in a directory.
+
+    The directory is made if it is missing, and goes again if nothing is written there.
 
     Raises
     ------
     FileExistsError
         If another run goes on in it.
+    NotADirectoryError
+        If it is a file, or below one.
     """
     directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(directory / ".lock", timeout=0):
-            yield
-    except Timeout:
-        raise FileExistsError(f"{directory}: a run is going on in it") from None
+    with ExitStack() as stack:
+        for folder in _missing(directory):
+            stack.callback(_remove_empty, folder)
+        directory.mkdir(parents=True, exist_ok=True)
+        try:
+            stack.enter_context(FileLock(directory / _LOCK, timeout=0))
+        except Timeout:
+            raise FileExistsError(f"{directory}: a run is going on in it") from None
+        if os.name == "posix":  # elsewhere it goes when it is released
+            stack.callback(_delete, directory / _LOCK)
+        yield
 
 
-def begin(directory: str | Path, recipe: dict[str, Any] | None, t_end: float) -> None:
-    """Delete the files of an earlier run, no others, and write config.toml."""
+def begin(
+    directory: str | Path,
+    recipe: dict[str, Any] | None,
+    t_end: float,
+    files: Iterable[Path],
+    *,
+    overwrite: bool,
+) -> None:
+    """Delete the files of an earlier run, no others, and write config.toml.
+
+    Parameters
+    ----------
+    directory : path
+    recipe : dict or None
+        What builds the simulation again.
+    t_end : float
+    files : sequence of Path
+        What the run will write besides.
+    overwrite : bool
+        Whether an earlier run may be deleted.
+
+    Raises
+    ------
+    FileExistsError
+        If there is an earlier run, or a file that is not a run's where the run would write one.
+        Nothing is changed then.
+    """
     directory = Path(directory)
-    for trajectory in directory.glob("*.vtkhdf"):
-        _delete_live(trajectory.with_suffix(".pvd"))
-    for pattern in _WRITTEN:
-        for path in directory.glob(pattern):
-            path.unlink()
-    _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
+    earlier = noted(directory)
+    if earlier and not overwrite:
+        raise FileExistsError(
+            f"{directory} holds a run; go on with it (`mrs resume {directory}`), choose another "
+            "directory, or delete it with --overwrite (overwrite=True)"
+        )
+    own = [directory / CONFIG, directory / _FILES, *files]
+    foreign = [path for path in own if os.path.lexists(path) and path not in earlier]
+    if foreign:
+        raise FileExistsError(
+            f"{foreign[0]} is there already and not known as a run's; the run would write a file "
+            "of that name: move it, or choose another directory"
+        )
+    discard(directory)
+    try:
+        note(directory, *own)
+        _write(directory, (recipe or {}) | {"run": {"t_end": t_end}, "versions": versions()})
+    except BaseException:
+        discard(directory)
+        raise
+
+
+def note(directory: str | os.PathLike[str], *files: str | Path) -> None:
+    """Note files as the run's own, before they are written: `--overwrite` deletes them.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run.
+    *files : path
+        Those that are not below it are left out.
+    """
+    directory = Path(directory)
+    root, listing = directory.resolve(), directory / _FILES
+    text = listing.read_text(encoding="utf-8") if listing.exists() else ""
+    places = (file.parent.resolve() / file.name for file in map(Path, files))
+    inside = (place.relative_to(root) for place in places if place.is_relative_to(root))
+    known = set(text.splitlines())
+    names = [name for name in dict.fromkeys(map(Path.as_posix, inside)) if name not in known]
+    if names:
+        half = text and not text.endswith("\n")  # a name that a killed process began to write
+        start = "\n" if half else "" if text else f"{_HEADER}\n"
+        with telling(listing), listing.open("a", encoding="utf-8", newline="\n") as lines:
+            lines.write(start + "".join(f"{name}\n" for name in names))
+
+
+def note_made(directory: str | os.PathLike[str], *files: str | Path) -> None:
+    """Note files that are made of a run, if the directory lists the files of one.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run.
+    *files : path
+        As for `note`.
+    """
+    if noted(directory):
+        note(directory, *files)
+
+
+def noted(directory: str | os.PathLike[str]) -> list[Path]:
+    """Return the files that are noted as the run's own, whether they are there or not."""
+    directory = Path(directory)
+    listing = directory / _FILES
+    header, *names = listing.read_text("utf-8").splitlines() if listing.is_file() else [""]
+    if header != _HEADER:
+        return []
+    root = directory.resolve()
+    paths = [directory / name for name in dict.fromkeys(names) if name]
+    return [path for path in paths if path.parent.resolve().is_relative_to(root)]
+
+
+def discard(directory: str | Path) -> None:
+    """Delete the files of a run, what a killed process left of them, and folders left empty."""
+    directory = Path(directory)
+    files = noted(directory)
+    listing = directory / _FILES
+    for path in sorted(files, key=lambda path: path == listing):  # the list goes last
+        _delete(temporary_name(path))
+        _delete(path)
+    folders = {folder for path in files for folder in path.parents}
+    for folder in sorted(folders - {directory, *directory.parents}, reverse=True):
+        _remove_empty(folder)
+
+
+def set_aside(path: Path) -> None:
+    """Give a damaged file another name, beside it, if it is there at all."""
+    number = 1
+    while os.path.lexists(other := path.with_name(f"{path.name}.damaged{number}")):
+        number += 1
+    if path.exists():
+        note(path.parent, other)
+        path.rename(other)
 
 
 def read(directory: str | Path) -> dict[str, Any]:
@@ -82,14 +192,16 @@ def read(directory: str | Path) -> dict[str, Any]:
     FileNotFoundError
         If the directory holds no run.
     """
-    content = _content(Path(directory))
-    if not content:
+    path = Path(directory) / CONFIG
+    content = load_toml(path) if path.is_file() else {}
+    if "t_end" not in content.get("run", {}) or "versions" not in content:
         raise FileNotFoundError(f"{directory} holds no run: no {CONFIG} with [run] and [versions]")
     return content
 
 
-def extend(directory: str | Path, t_end: float) -> None:
-    """Note in config.toml until when the run goes."""
+def extend(directory: str | Path, t_end: float, files: Iterable[Path]) -> None:
+    """Note until when the run goes, and which files it writes from now on."""
+    note(directory, *files)
     content = read(directory)
     if content["run"]["t_end"] != t_end:
         content["run"]["t_end"] = t_end
@@ -99,26 +211,31 @@ def extend(directory: str | Path, t_end: float) -> None:
 def load_toml(path: str | Path) -> dict[str, Any]:
     """Return the contents of a TOML file; ValueError names the file if it is none."""
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except ValueError as error:  # not TOML, or not UTF-8
         raise ValueError(f"{path}: {error}") from None
 
 
-def _delete_live(path: Path) -> None:
-    """Delete the list of a body's .vtp files, and these."""
-    if path.exists():
-        for frame in path.with_suffix("").glob("[0-9]*.vtp"):
-            frame.unlink()
+def _missing(directory: Path) -> list[Path]:
+    """Return the folders that must be made, outermost first."""
+    missing: list[Path] = []
+    for folder in (directory, *directory.parents):
+        if folder.is_dir():
+            return missing[::-1]
+        if os.path.lexists(folder):
+            raise NotADirectoryError(f"{folder} is not a directory, so no run can be written there")
+        missing.append(folder)
+    return missing[::-1]
+
+
+def _delete(path: Path) -> None:
+    with suppress(FileNotFoundError, IsADirectoryError, NotADirectoryError):
         path.unlink()
-        with suppress(OSError):  # something else is in it
-            path.with_suffix("").rmdir()
 
 
-def _content(directory: Path) -> dict[str, Any]:
-    """Return config.toml; nothing if there is none, or not that of a run."""
-    path = directory / CONFIG
-    content = load_toml(path) if path.is_file() else {}
-    return content if "t_end" in content.get("run", {}) and "versions" in content else {}
+def _remove_empty(folder: Path) -> None:
+    with suppress(OSError):  # something is in it
+        folder.rmdir()
 
 
 def _write(directory: Path, content: dict[str, Any]) -> None:
@@ -130,10 +247,17 @@ def _write(directory: Path, content: dict[str, Any]) -> None:
 def versions() -> dict[str, str]:
     """Return the versions of what computes, and the commit if run from a working copy."""
     names = ("mrs-treecode", "numpy", "numba", "scipy", "h5py")
-    found = {name: metadata.version(name) for name in names} | {"python": platform.python_version()}
+    found = {name: _version(name) for name in names} | {"python": platform.python_version()}
     if _git("ls-files", "--error-unmatch", __file__) is not None:
         found["git"] = _git("describe", "--always", "--dirty") or "unknown"
     return found
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:  # a working copy that is not installed
+        return "unknown"
 
 
 def _git(*arguments: str) -> str | None:

@@ -16,7 +16,8 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any, Literal, Union
 
 import numpy as np
@@ -109,16 +110,14 @@ class Scene(Scenario):
 
     def build(self, **common: Any) -> Simulation:
         """Return the scene."""
-        fluid = self.fluid.arguments()  # type: ignore[attr-defined]
-        background = fluid.pop("background", None)
-        if background is not None:
-            fluid["background"] = getattr(flows, background.kind)(**background.arguments())
-        bodies = [
-            *map(_rods, self.rods),
-            *map(_swimmers, self.swimmers),
-            *(Tracers(**options.arguments()) for options in self.tracers),  # type: ignore[attr-defined]
-        ]
-        return Simulation(Fluid(**fluid), bodies, steric=self.steric, **common)
+        with _at("fluid"):
+            fluid = _fluid(self.fluid)
+        bodies = []
+        for name, make in (("rods", _rods), ("swimmers", _swimmers), ("tracers", _tracers)):
+            for i, options in enumerate(getattr(self, name)):
+                with _at(f"{name}.{i}"):
+                    bodies.append(make(options))
+        return Simulation(fluid, bodies, steric=self.steric, **common)
 
     def check(self, sim: Simulation) -> Check:
         """Return how many coordinates are not finite."""
@@ -126,10 +125,29 @@ class Scene(Scenario):
         return Check("coordinates that are not finite", bad, 0.0, 0.0)
 
 
+@contextmanager
+def _at(place: str) -> Iterator[None]:
+    """Name the place of what is refused."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(f"{place}: {error}") from None
+
+
+def _fluid(options: Any) -> Fluid:
+    arguments = options.arguments()
+    background = arguments.pop("background", None)
+    if background is not None:
+        with _at("background"):
+            arguments["background"] = getattr(flows, background.kind)(**background.arguments())
+    return Fluid(**arguments)
+
+
 def _rods(options: Any) -> Rods:
     arguments = options.arguments()
     shape = arguments.pop("shape")
-    centerline = getattr(geometry, shape.kind)(**shape.arguments())
+    with _at("shape"):
+        centerline = getattr(geometry, shape.kind)(**shape.arguments())
     origins = arguments.pop("origins", [(0.0, 0.0, 0.0)])
     return Rods(geometry.array(centerline, origins), **arguments)
 
@@ -137,9 +155,15 @@ def _rods(options: Any) -> Rods:
 def _swimmers(options: Any) -> Swimmers:
     arguments = options.arguments()
     suspension = arguments.pop("suspension", None)
+    where = {"positions", "orientations"} & set(arguments)
+    if len(where) != (2 if suspension is None else 0):
+        raise ValueError("must have either a suspension, or positions and orientations")
     if suspension is not None:
         make = {f.__name__: f for f in (random_suspension, lattice_suspension)}[suspension.kind]
-        arguments["positions"], arguments["orientations"] = make(**suspension.arguments())
-    if not {"positions", "orientations"} <= set(arguments):
-        raise ScenarioError("swimmers: must have a suspension, or positions and orientations")
+        with _at("suspension"):
+            arguments["positions"], arguments["orientations"] = make(**suspension.arguments())
     return Swimmers(**arguments)
+
+
+def _tracers(options: Any) -> Tracers:
+    return Tracers(**options.arguments())

@@ -21,9 +21,11 @@ _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: length
 _WARNING = 1.02  # as `_MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
+_SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
 _LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Integrator:
     """How time is stepped.
@@ -36,8 +38,9 @@ class Integrator:
         with the others from the stability limit and so that nothing moves by more than a tenth of
         its length.
     tolerance : float, optional
-        Error of one step allowed with "auto": of positions relative to the length of their body, of
-        triads in radians.
+        Error of one step allowed with "auto": of positions relative to the length of their body,
+        of points in a scene without any length relative to their way in the step, of triads in
+        radians.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -46,14 +49,22 @@ class Integrator:
     dt: float | Literal["auto"] = "auto"
     tolerance: float = 1e-4
 
+    def __post_init__(self) -> None:
+        check.one_of("name", self.name, METHODS)
+        if isinstance(self.dt, str) and self.dt != "auto":
+            raise ValueError(f"dt must be 'auto' or a positive number, got {self.dt!r}")
+        if self.dt != "auto":
+            check.positive("dt", self.dt)
+        check.number("tolerance", self.tolerance, 0.0, 1.0)
+
 
 class Problem(Protocol):
     """What is to be integrated."""
 
     error_scale: np.ndarray
-    """Unit of errors, (P + Q, 1)."""
+    """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
     perturbation: np.ndarray
-    """A small displacement of each coordinate, (P + Q, 1)."""
+    """A small displacement of each coordinate, (P + Q, 1); 0 likewise."""
 
     def rates(self, time: float, state: State) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3)."""
@@ -75,10 +86,9 @@ class Stepper:
     """Advances a state, one accepted step at a time."""
 
     def __init__(self, integrator: Integrator) -> None:
-        check.one_of("integrator", integrator.name, METHODS)
-        self.tolerance = check.number("tolerance", integrator.tolerance, 0.0, 1.0)
+        self.tolerance = integrator.tolerance
         self.method = METHODS[integrator.name]
-        self.fixed = None if integrator.dt == "auto" else check.positive("dt", integrator.dt)
+        self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
         self.h: float | None = None
         self.taken = 0.0
@@ -107,6 +117,11 @@ class Stepper:
         self.steps, self.rejections = values["steps"], values["rejections"]
         self._renew_at = values["renew_at"]
 
+    def restore_counts(self, values: dict[str, Any]) -> None:
+        """Take up of a history how many steps there were, and choose the next one anew."""
+        self.steps, self.rejections = values["steps"], values["rejections"]
+        self._renew_at = self.steps
+
     def step(self, problem: Problem, time: float, state: State, stop: float) -> tuple[float, State]:
         """Return time and state after one accepted step, not beyond `stop`.
 
@@ -120,9 +135,17 @@ class Stepper:
         z = state.coordinates()
 
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
+        blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
+
+        def local_rates(t: float, z: np.ndarray) -> np.ndarray:
+            return state.local_rates(z, problem.rates(t, state.moved(z)))
 
         def f(t: float, z: np.ndarray) -> np.ndarray:
-            values = state.local_rates(z, problem.rates(t, state.moved(z)))
+            try:
+                values = local_rates(t, z)
+            except check.NotFiniteValueError as error:
+                blamed.append(error)
+                values = np.full_like(z, np.nan)
             lost.extend(_not_finite(values)[: 1 - len(lost)])
             return values
 
@@ -130,17 +153,21 @@ class Stepper:
         retried = False
         while True:
             if retried or self.steps >= self._renew_at:
-                self._estimate_radius(lambda y: f(time, y), z, rates, problem.perturbation)
+                small = _filled(problem.perturbation, _SMALL * z, _SMALL * interval * rates)
+                self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
             lost.clear()
+            blamed.clear()
             new, error = self.method.step(
                 f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
             )
-            ratio = self._error_ratio(new, error, problem.error_scale)
+            unit = _filled(problem.error_scale, new - z, h * rates)
+            ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 break
-            self._reject(h, ratio, interval, [*lost, *_not_finite(new)])
+            lost.extend(_not_finite(new)[: 1 - len(lost)])
+            self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
             retried = True
         self.steps += 1
         if self.adaptive:
@@ -158,14 +185,24 @@ class Stepper:
             self.h = self.fixed
             self._warn(limit * _MARGIN / _WARNING)
         elif not self.adaptive:
-            self.h = min(_SAFETY * limit, _time_to_move(_LARGEST_MOVE, rates / scale))
+            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates, scale))
         elif self.h is None:
             first = 0.1 * math.sqrt(self.tolerance)
-            self.h = min(interval, _time_to_move(first, rates / scale))
+            self.h = min(interval, self._time_to_move(first, rates, scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
             wanted = max(wanted, 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - _LONGER)))
+
+    def _time_to_move(self, distance: float, rates: np.ndarray, scale: np.ndarray) -> float:
+        """Return when something has moved by `distance` lengths.
+
+        Without a length it is the one over which velocities change, speed over spectral radius.
+        """
+        known = scale[:, 0] > 0.0
+        speeds = np.abs(rates[known] / scale[known]).max(initial=0.0)
+        speed = max(float(speeds), 0.0 if known.all() else self.radius)
+        return distance / speed if speed > 0.0 else math.inf
 
     def _warn(self, limit: float) -> None:
         assert self.fixed is not None
@@ -187,13 +224,14 @@ class Stepper:
         ratio = float(np.abs(error / scale).max(initial=0.0)) / self.tolerance
         return ratio if math.isfinite(ratio) else math.inf
 
-    def _reject(self, h: float, ratio: float, interval: float, lost: list[int]) -> None:
+    def _reject(self, h: float, ratio: float, interval: float, causes: list[Exception]) -> None:
+        """Shorten the step; where that is of no use raise the first of the causes."""
         if not self.adaptive:
-            raise NotFiniteError(lost[0])
+            raise causes[0]
         self.rejections += 1
         self.h = self._next(h, ratio, h)
         if self.h < _SMALLEST * interval:
-            raise NotFiniteError(lost[0]) if lost else StepSizeError(h)
+            raise causes[0] if causes else StepSizeError(h)
 
     def _next(self, h: float, ratio: float, largest: float) -> float:
         """Return the next step to try, of size `largest` at most (elementary controller)."""
@@ -209,9 +247,13 @@ class Stepper:
         self._renew_at = self.steps + _RENEW
 
 
-def _time_to_move(distance: float, rates: np.ndarray) -> float:
-    speed = float(np.abs(rates).max(initial=0.0))
-    return distance / speed if speed > 0.0 else math.inf
+def _filled(scale: np.ndarray, *displacements: np.ndarray) -> np.ndarray:
+    """Return `scale`, and where it is 0 the largest of the displacements there."""
+    without = scale[:, 0] == 0.0
+    if not without.any():
+        return scale
+    largest = max(float(np.abs(moved[without]).max()) for moved in displacements)
+    return np.where(scale == 0.0, largest or 1.0, scale)  # nothing moves: any unit will do
 
 
 def _not_finite(values: np.ndarray) -> list[int]:

@@ -11,6 +11,7 @@ import scipy
 from mrs import check
 
 
+@check.spelling
 @dataclass(frozen=True)
 class Steric:
     """Pairwise repulsion of points nearer than ``2 chi a``, of zero net force and torque.
@@ -35,12 +36,10 @@ class Steric:
     radius: float
     chi: float = 1.1
 
-    def validated(self) -> Steric:
-        """Return itself; raise ValueError for parameters out of range."""
-        check.positive("steric.strength", self.strength)
-        check.positive("steric.radius", self.radius)
-        check.number("steric.chi", self.chi, 1.0, 1e3)
-        return self
+    def __post_init__(self) -> None:
+        check.positive("strength", self.strength)
+        check.positive("radius", self.radius)
+        check.number("chi", self.chi, 1.0, 1e3)
 
     def forces(
         self, points: np.ndarray, pieces: np.ndarray, places: np.ndarray, rounds: np.ndarray

@@ -19,6 +19,7 @@ from mrs.state import State
 _AXIS = np.array([[0.0, 0.0, 1.0]])
 
 
+@check.spelling
 class Swimmers(Body):
     """Swimmers that push or pull themselves along their orientation p.
 
@@ -29,15 +30,15 @@ class Swimmers(Body):
     orientations : (n, 3) array_like
         Directions p in which they swim; scaled to unit length.
     length : float or array_like
-        Distance l from body to flagellum, broadcast to (n,).
+        Distance l from body to flagellum, a number or (n,).
     force : float or array_like
-        Thrust f, broadcast to (n,): +f p on the fluid at the body, -f p at the flagellum.
+        Thrust f, a number or (n,): +f p on the fluid at the body, -f p at the flagellum.
     stroke : {"pusher", "puller"}, optional
         Whether the flagellum is behind the body, x_F = x_B - l p, or before it.
     epsilon, flagellum_epsilon : float or array_like, optional
-        Blob sizes of the two, broadcast to (n,); the fluid's, and that of the body, by default.
-    radius : float, optional
-        Of the beads in pictures; their epsilon by default.
+        Blob sizes of the two, a number or (n,); the fluid's, and that of the body, by default.
+    radius : float or array_like, optional
+        Of the beads in pictures, a number or (n,); their epsilon by default.
     name : str, optional
         Of the output file.
 
@@ -63,6 +64,7 @@ class Swimmers(Body):
         radius: Any = None,
         name: str = "swimmers",
     ) -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         count = len(self.positions)
@@ -119,6 +121,10 @@ class Swimmers(Body):
         other = own if self._flagellum_epsilon is None else self._flagellum_epsilon
         return np.concatenate([own, other])
 
+    def pieces(self) -> np.ndarray:
+        """Return the swimmers' numbers, (n,)."""
+        return np.arange(len(self.positions))
+
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the swimmers' numbers; the two particles of one do not touch each other."""
         count = len(self.positions)
@@ -157,6 +163,7 @@ def _orient(along: np.ndarray) -> np.ndarray:
     return np.where(down[:, None], rotations.multiply(turn, about_x), turn)
 
 
+@check.spelling
 def random_suspension(
     count: int, size: Any, spacing: float, *, reach: float = 0.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +188,8 @@ def random_suspension(
     """
     check.integer("count", count, 0)
     edges = check.broadcast("size", size, (3,), 0.0)
-    spacing = check.number("spacing", spacing, -1e-300, 1e60)
+    spacing = check.not_negative("spacing", spacing)
+    reach = check.number("reach", reach, -1e60, 1e60)
     if count * spacing**3 * np.pi / 6.0 > 0.64 * edges.prod():  # random close packing
         raise ValueError(
             f"count: {count} swimmers {spacing:g} apart do not fit a box of size {size!r}"
@@ -218,6 +226,7 @@ def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
     return scipy.spatial.transform.Rotation.random(count, rng).apply(_AXIS[0]).reshape(-1, 3)
 
 
+@check.spelling
 def lattice_suspension(
     shape: Any, spacing: float, *, direction: Any = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ from mrs.bodies import Body
 from mrs.state import State
 
 
+@check.spelling
 class Tracers(Body):
     """Passive points: targets of the sums, never sources.
 
@@ -25,6 +26,7 @@ class Tracers(Body):
     has_force = False
 
     def __init__(self, positions: Any, *, name: str = "tracers") -> None:
+        self.made_with = {k: v for k, v in locals().items() if k != "self"}
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         self.quaternions = np.empty((0, 4))

@@ -25,6 +25,7 @@ class CiliaArray(mrs.Scenario):
         "rows": 3,
         "columns": 3,
         "nodes": 41,
+        "epsilon": 0.25,
         "t_end": 1.0,
         "interval": 0.05,
     }
@@ -36,6 +37,9 @@ class CiliaArray(mrs.Scenario):
     height: float = Field(6.0, gt=0, description="of a rod, along z")
     radius: float = Field(0.3, gt=0, description="of the helix")
     pitch: float = Field(float(np.pi), gt=0, description="of the helix")
+    epsilon: float | None = Field(
+        None, gt=0, description="blob size; by default three spacings of the nodes"
+    )
     bending: float = Field(100.0, gt=0, description="moduli a1 = a2 = a3")
     shearing: float = Field(2000.0, gt=0, description="moduli b1 = b2 = b3")
     amplitude: float = Field(0.6, ge=0, description="of the wave of curvature, radians per length")
@@ -60,7 +64,7 @@ class CiliaArray(mrs.Scenario):
             base="clamped",
             name="cilia",
         )
-        epsilon = 3.0 * float(cilia.spacing.max())
+        epsilon = self.epsilon or 3.0 * float(cilia.spacing.max())
         return mrs.Simulation(mrs.Fluid(epsilon=epsilon), [cilia], **common)
 
     def check(self, sim: mrs.Simulation) -> mrs.Check:

@@ -19,10 +19,13 @@ import mrs
 class HelicalSwimmer(mrs.Scenario):
     """Options of the flagellum; micrometres, grams times 1e-6 and seconds, say; viscosity 1."""
 
-    quick: ClassVar[dict[str, Any]] = {"nodes": 41, "t_end": 1.0}
+    quick: ClassVar[dict[str, Any]] = {"nodes": 41, "epsilon": 0.25, "t_end": 1.0}
 
     length: float = Field(10.0, gt=0, description="of the rod")
     nodes: int = Field(101, ge=5, description="of the rod")
+    epsilon: float | None = Field(
+        None, gt=0, description="blob size; by default two spacings of the nodes"
+    )
     curvature: float = Field(0.5, gt=0, description="preferred, radians per length")
     wavelength: float = Field(5.0, gt=0, description="of the wave")
     period: float = Field(1.0, gt=0, description="of the wave")
@@ -48,7 +51,7 @@ class HelicalSwimmer(mrs.Scenario):
             intrinsic_curvature=corkscrew,
             name="flagellum",
         )
-        epsilon = 2.0 * self.length / (self.nodes - 1)
+        epsilon = self.epsilon or 2.0 * self.length / (self.nodes - 1)
         return mrs.Simulation(mrs.Fluid(epsilon=epsilon), [rod], **common)
 
     def check(self, sim: mrs.Simulation) -> mrs.Check:

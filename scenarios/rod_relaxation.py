@@ -21,10 +21,18 @@ import mrs
 class RodRelaxation(mrs.Scenario):
     """Options of the rod; grams, micrometres, seconds. The defaults are the published ones."""
 
-    quick: ClassVar[dict[str, Any]] = {"nodes": 26, "t_end": 0.2, "interval": 0.01}
+    quick: ClassVar[dict[str, Any]] = {
+        "nodes": 26,
+        "epsilon": 0.25,
+        "t_end": 0.2,
+        "interval": 0.01,
+    }
 
     nodes: int = Field(76, ge=5, description="of the rod")
     length: float = Field(75 * float(np.pi) / 40, gt=0, description="of the rod")
+    epsilon: float | None = Field(
+        None, gt=0, description="blob size; by default six spacings of the nodes, as published"
+    )
     curvature: float = Field(1.3, ge=0, description="intrinsic, k")
     twist: float = Field(float(np.pi) / 2, description="intrinsic, t")
     bending: float = Field(3.5e-3, gt=0, description="moduli a1 = a2 = a3")
@@ -47,7 +55,7 @@ class RodRelaxation(mrs.Scenario):
             intrinsic_curvature=(self.curvature, 0.0, self.twist),
             name="rod",
         )
-        epsilon = 6.0 * self.length / (self.nodes - 1)
+        epsilon = self.epsilon or 6.0 * self.length / (self.nodes - 1)
         fluid = mrs.Fluid(viscosity=self.viscosity, epsilon=epsilon)
         return mrs.Simulation(fluid, [rod], **common)
 

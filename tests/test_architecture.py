@@ -21,6 +21,8 @@ ALLOWED = {
     "treecode.memory": set(),
     "treecode.threads": set(),
     "treecode.timing": set(),
+    "treecode.locks": set(),
+    "treecode.accuracy": {"treecode.kernels.base"},
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {"treecode._jit", "treecode.threads", "treecode.tree"},
     "treecode.traversal": {
@@ -49,8 +51,9 @@ ALLOWED = {
     },
     "treecode.fmm": set(),
     "treecode.auto": {
-        "treecode.backends", "treecode.fmm.multipole", "treecode.kernels.base",
-        "treecode.traversal", "treecode.tree",
+        "treecode._lanes", "treecode.accuracy", "treecode.backends", "treecode.fmm.multipole",
+        "treecode.kernels.base", "treecode.pairs", "treecode.threads", "treecode.traversal",
+        "treecode.tree",
     },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
@@ -58,9 +61,14 @@ ALLOWED = {
     "mrs.rotations": set(),
     "mrs.state": {"mrs.rotations"},
     "mrs.profile": set(),
+    "mrs.signals": set(),
     "mrs.integrators": {"mrs.integrators"},
     "mrs.output": {"mrs.output"},
-    "mrs.bodies": {"mrs.state"},
+    "mrs.output.frames": {"mrs.output", "mrs.rundir"},  # which files are the run's own
+    "mrs.output.export": {"mrs.output", "mrs.rundir"},
+    "mrs.output.render": {"mrs.output", "mrs.rundir"},
+    "mrs.describe": set(),
+    "mrs.bodies": {"mrs.describe", "mrs.state"},
     "mrs.geometry": {"mrs.check", "mrs.rotations"},
     "mrs.flows": {"mrs.check"},
     "mrs.steric": {"mrs.check"},
@@ -70,15 +78,16 @@ ALLOWED = {
     "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
     "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
     "mrs.rundir": {"mrs.output.atomic"},
+    "mrs.stored": {"mrs.flows", "mrs.mobility", "mrs.output"},
     "mrs.trackers": {
-        "mrs.check", "mrs.output", "mrs.rundir",
+        "mrs.check", "mrs.output", "mrs.rundir", "mrs.stored",
         "mrs.bodies", "mrs.simulation",  # their types
     },
     "mrs.simulation": {
-        "mrs.bodies", "mrs.check", "mrs.flows", "mrs.mobility", "mrs.profile", "mrs.rundir",
-        "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.flows", "mrs.mobility", "mrs.profile",
+        "mrs.rundir", "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
     },
-    "mrs.scenario": {"mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
+    "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
     "mrs": {"mrs"},
     "scenarios": {"mrs"},
 }  # fmt: skip

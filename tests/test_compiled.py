@@ -100,6 +100,7 @@ class Constant(NamedTuple):
     strength_size = 1
     weight_size = 1
     value_size = 1
+    value_lengths = (0,)
     def weights(self, q):
         return q
     def pair(self, dx, dy, dz, w, acc):

@@ -11,6 +11,7 @@ from test_degenerate import POINTS
 import treecode as tc
 from oracle import each_kernel, exact, random_case, with_epsilon
 from rotne_prager import RotnePrager
+from treecode import auto
 from treecode.fmm import multipole, octree, operators, store, symmetry
 from treecode.fmm.symmetry import find_symmetry
 from treecode.threads import Threads
@@ -197,6 +198,7 @@ class Chiral(NamedTuple):
     """Not its own mirror image: force to velocity along it and across it."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q
@@ -216,10 +218,81 @@ def test_chiral_kernel_is_refused():
         tc.Plan(Chiral(), "fmm", leaf_size=10).set_points(points)
 
 
+class Unused(NamedTuple):
+    """A fourth strength that does nothing."""
+
+    strength_size = weight_size = 4
+    value_size = 3
+    value_lengths = (1, 1, 1)
+
+    def weights(self, q):
+        return q
+
+    def pair(self, dx, dy, dz, w, acc):
+        s = tc.inverse_sqrt(1e-4 + dx * dx + dy * dy + dz * dz)
+        d = s * s * s * (w[0] * dx + w[1] * dy + w[2] * dz)
+        return acc[0] + s * w[0] + d * dx, acc[1] + s * w[1] + d * dy, acc[2] + s * w[2] + d * dz
+
+
+class Silent(Unused):
+    """A fourth value that is always zero."""
+
+    strength_size = weight_size = 3
+    value_size = 4
+    value_lengths = (1, 1, 1, 1)
+
+    def pair(self, dx, dy, dz, w, acc):
+        s = tc.inverse_sqrt(1e-4 + dx * dx + dy * dy + dz * dz)
+        return acc[0] + s * w[0], acc[1] + s * w[1], acc[2] + s * w[2], acc[3]
+
+
+class Compact(NamedTuple):
+    """Nothing beyond a distance."""
+
+    reach: float
+
+    strength_size = weight_size = value_size = 1
+    value_lengths = (0,)
+
+    def weights(self, q):
+        return q
+
+    def pair(self, dx, dy, dz, w, acc):
+        r2 = (dx * dx + dy * dy + dz * dz) / (self.reach * self.reach)
+        t = tc.where(r2 < 1.0, 1.0 - r2, 0.0)
+        return (acc[0] + w[0] * t * t * t * t,)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "words"),
+    [
+        (Unused(), "number 3 of its weight_size.*Unused"),
+        (Silent(), "number 3 of its value_size.*Silent"),
+        (Compact(0.02), "vanishes at a distance.*Compact"),
+        (Compact(0.3), "vanishes at a distance.*Compact"),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_kernels_it_does_not_take_are_refused(monkeypatch, kernel, words):
+    """By name, where SVDs did not converge; and "auto" takes another method."""
+    monkeypatch.setattr(auto, "FEW", 0)
+    rng = np.random.default_rng(17)
+    points, strengths = rng.random((2000, 3)), rng.standard_normal((2000, kernel.strength_size))
+    with pytest.raises(ValueError, match=f"^backend must be 'kitc' or 'direct' .*{words}"):
+        tc.Plan(kernel, "fmm", leaf_size=10).set_points(points)
+    monkeypatch.setattr(auto.Model, "seconds", lambda *args: 0.0 if args[1] == "fmm" else 1.0)
+    plan = tc.Plan(kernel, tol=1e-3).set_points(points)
+    values = plan.execute(strengths)
+    exact_values = tc.evaluate(kernel, points, strengths, backend="direct")
+    assert tc.relative_error(values, exact_values) <= 1e-3
+    assert plan.choice.backend != "fmm"
+
+
 class Uneven(NamedTuple):
     """Lengths along x count for more: only y and z may change places."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q

@@ -432,16 +432,19 @@ def test_eigenvalues_at_rest_are_real_and_negative(strain):
 # --- what is not finite -------------------------------------------------------------------
 
 
-def poisoned(value):
-    """Return a flow that is `value` at x > 0.5 from the time 0.3 on."""
+def poisoned(kind, value):
+    """Return a class of bodies whose velocity is `value` at x > 0.5 from the time 0.3 on."""
 
-    def velocity(points, t):
-        u = np.zeros_like(points)
-        u[:, 1] = 1.0
-        u[(points[:, 0] > 0.5) & (t > 0.3), 2] = value
-        return u
+    class Poisoned(kind):
+        def rates(self, time, state, velocity, spin):
+            u, w = super().rates(time, state, velocity, spin)
+            u[(state.positions[:, 0] > 0.5) & (time > 0.3), 2] = value
+            return u, w
 
-    return mrs.flows.UserFlow(velocity, lambda points, t: np.zeros_like(points))
+    return Poisoned
+
+
+ALONG = mrs.flows.QuadraticFlow(constant=[0.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -451,8 +454,8 @@ def poisoned(value):
 def test_what_is_not_finite_is_named(name, dt, value):
     """Body, node and time: of two bodies the third node of the second one."""
     x = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 2.0, 0.0], [1.0, 3.0, 0.0]])
-    bodies = [mrs.Tracers(x[:2], name="dust"), mrs.Tracers(x, name="smoke")]
-    fluid = mrs.Fluid(background=poisoned(value))
+    bodies = [mrs.Tracers(x[:2], name="dust"), poisoned(mrs.Tracers, value)(x, name="smoke")]
+    fluid = mrs.Fluid(background=ALONG)
     sim = mrs.Simulation(fluid, bodies, integrator=mrs.Integrator(name, dt))
     message = r"position of node 2 of 'smoke' is not finite after time 0\.[0-3]"
     with pytest.raises(mrs.SimulationError, match=message):
@@ -463,8 +466,9 @@ def test_what_is_not_finite_is_named(name, dt, value):
 @pytest.mark.parametrize("name", ["euler", "rk4", "rkc2"])
 def test_swimmers_that_meet_no_number(name):
     """The same with sums, which refuse what is not finite: still an error of the simulation."""
-    swimmers = mrs.Swimmers([[0, 0, 0], [1, 0, 0]], np.eye(3)[:2], length=0.1, force=0.1)
-    fluid = mrs.Fluid(1.0, 0.2, poisoned(np.inf))
+    kind = poisoned(mrs.Swimmers, np.inf)
+    swimmers = kind([[0, 0, 0], [1, 0, 0]], np.eye(3)[:2], length=0.1, force=0.1)
+    fluid = mrs.Fluid(1.0, 0.2, ALONG)
     sim = mrs.Simulation(fluid, [swimmers], integrator=mrs.Integrator(name, 0.1))
     with pytest.raises(mrs.SimulationError, match=r"node 1 of 'swimmers' .* after time 0\.[23]"):
         sim.run(1.0)
@@ -476,9 +480,9 @@ def test_a_run_that_blows_up():
     sim = small_rod(8, mrs.Integrator("euler", 5.0), 0.1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        with pytest.raises(mrs.SimulationError, match=r"of node \d of 'rods' .* after time \d+"):
+        with pytest.raises(mrs.SimulationError, match=r"node \d of 'rods' .* after time \d+"):
             sim.run(1e5)
-    assert np.isfinite(sim.state.positions).all()
+    assert np.ptp(sim.state.positions, axis=0).max() < 3.0, "the last sound state is kept"
 
 
 @pytest.mark.parametrize("dt", [1e12, "auto"])

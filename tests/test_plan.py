@@ -6,6 +6,8 @@ import pytest
 
 import treecode as tc
 from oracle import BACKENDS, each_backend, each_kernel, each_treecode, random_case
+from rotne_prager import RotnePrager
+from treecode.fmm import multipole
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 
@@ -124,3 +126,89 @@ def test_info_before_and_after():
 def test_progress_reaches_the_end(capsys):
     tc.evaluate(KERNEL, clustered(1000), np.ones((1000, 3)), backend="direct", progress=True)
     assert "100%" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        (None, "must be a treecode.Choice.*None"),
+        ("kitc", "must be a treecode.Choice.*'kitc'"),
+        (tc.Choice("nope"), r"\.backend must be one of 'direct', 'kitc', 'taylor', 'fmm'.*'nope'"),
+        (tc.Choice("auto"), r"\.backend must be one of"),
+        (tc.Choice("kitc"), r"\.theta must be given for backend 'kitc'"),
+        (tc.Choice("kitc", 0.7, 0, 100), r"\.degree must be an integer from 1 to"),
+        (tc.Choice("taylor", 1.7, 3, 100), r"\.theta must be a number between 0 and 1"),
+        (tc.Choice("taylor", 0.7, 3, 0), r"\.leaf_size must be an integer from 1"),
+        (tc.Choice("direct", precision="half"), r"\.precision must be one of"),
+        (tc.Choice("fmm"), r"\.tol must be given for backend 'fmm'"),
+        (tc.Choice("fmm", tol=1e-20), r"\.tol must be a number between 1e-13 and 1"),
+        (tc.Choice("fmm", tol=1e-2, width=-1.0), r"\.width must be a number of at least 0"),
+    ],
+)
+def test_a_choice_that_is_none_is_refused(choice, words):
+    """Before anything is changed."""
+    points = clustered(50)
+    plan = tc.Plan(KERNEL, "direct").set_points(points)
+    values = plan.execute(points)
+    with pytest.raises(
+        (TypeError, ValueError), match=f"^choice{words}" if words[0] == "\\" else f"^choice {words}"
+    ):
+        plan.use(choice)
+    assert np.array_equal(plan.execute(points), values)
+
+
+def test_a_choice_for_another_kernel_is_refused():
+    with pytest.raises(TypeError, match=r"taylor.*RotnePrager"):
+        tc.Plan(RotnePrager(0.1, 1.0)).use(tc.Choice("taylor", 0.7, 3, 100))
+
+
+def test_points_are_set_after_a_choice():
+    points = clustered(50)
+    plan = tc.Plan(KERNEL, "direct").set_points(points)
+    plan.use(tc.Choice("kitc", 0.7, 2, 10))
+    with pytest.raises(RuntimeError, match="set_points must be called first"):
+        plan.execute(points)
+    assert plan.set_points(points).execute(points).shape == (50, 3)
+
+
+@pytest.mark.parametrize("options", [{"backend": "fmm"}, {"tol": 1e-3}, {"backend": "kitc"}])
+def test_refused_points_change_nothing(options):
+    """Where fmm ended in KeyError at the next sum."""
+    points = clustered(2000)
+    plan = tc.Plan(KERNEL, **options).set_points(points)
+    values = plan.execute(points)
+    for bad in (np.full((3, 3), np.nan), points[:, :2], np.full((2000, 3), 1e70)):
+        with pytest.raises(ValueError, match=r"^sources must"):
+            plan.set_points(bad)
+        with pytest.raises(ValueError, match=r"^targets must"):
+            plan.set_points(points[:5], bad)
+        assert np.array_equal(plan.execute(points), values)
+
+
+def test_points_that_fail_are_none(monkeypatch):
+    """Operators that do not fit in memory, say: the plan has neither the old nor the new points."""
+    points = clustered(2000)
+    plan = tc.Plan(KERNEL, "fmm", tol=1e-2, leaf_size=30).set_points(points)
+    plan.execute(points)
+
+    def full(*arguments):
+        raise MemoryError
+
+    with monkeypatch.context() as context:
+        context.setattr(multipole, "get_level", full)
+        with pytest.raises(MemoryError):
+            plan.set_points(1e3 * points)
+    with pytest.raises(RuntimeError, match="set_points must be called first"):
+        plan.execute(points)
+    values = plan.set_points(1e3 * points).execute(points)
+    assert np.array_equal(
+        values,
+        tc.Plan(KERNEL, "fmm", tol=1e-2, leaf_size=30).set_points(1e3 * points).execute(points),
+    )
+
+
+def test_options_of_evaluate_are_told():
+    with pytest.raises(
+        TypeError, match=r"evaluate\(\) has the options backend, .*tol, .* got tolerance"
+    ):
+        tc.evaluate(KERNEL, np.eye(3), np.eye(3), tolerance=1e-3)

@@ -134,9 +134,9 @@ def test_rest(strain):
     for intrinsic in (strain, "initial"):
         rod = mrs.Rods(
             line,
-            bending=(2, 3),
+            bending=[[2, 3]],
             twisting=1.5,
-            shearing=(4, 5),
+            shearing=[[4, 5]],
             stretching=6,
             intrinsic_curvature=intrinsic,
         )
@@ -210,9 +210,9 @@ def ring_of(nodes, a, b, **options):
     ds = 2 * np.pi / nodes
     rod = mrs.Rods(
         mrs.geometry.ring(0.5 * ds / np.sin(0.5 * ds), nodes),
-        bending=a[:2],
+        bending=[a[:2]],
         twisting=a[2],
-        shearing=b[:2],
+        shearing=[b[:2]],
         stretching=b[2],
         intrinsic_curvature=bent,
         **options,

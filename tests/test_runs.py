@@ -140,10 +140,10 @@ def test_interrupt_leaves_a_checkpoint(tmp_path):
     np.testing.assert_array_equal(arrays["positions"], sim.state.positions)
 
 
-def test_frames_are_at_multiples_of_the_interval(tmp_path):
+def test_frames_are_at_multiples_of_the_interval_and_at_the_end(tmp_path):
     assert cli.main(swim(tmp_path / "r", 0.52)) == 0
     with vtkhdf.Trajectory(tmp_path / "r" / "flagellum.vtkhdf") as file:
-        np.testing.assert_array_equal(file.times, 0.05 * np.arange(11))
+        np.testing.assert_array_equal(file.times, [*(0.05 * np.arange(11)), 0.52])
 
 
 def test_a_run_is_not_overwritten(tmp_path, capsys):
@@ -152,10 +152,6 @@ def test_a_run_is_not_overwritten(tmp_path, capsys):
     assert cli.main(arguments) == 1
     assert "holds a run" in capsys.readouterr().err
     assert cli.main([*arguments, "--overwrite"]) == 0
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("not a run")
-    assert cli.main([*arguments[:-1], str(tmp_path / "mine"), "--overwrite"]) == 1
-    assert (tmp_path / "mine" / "thesis.tex").read_text() == "not a run"
 
 
 @pytest.mark.parametrize(
@@ -202,7 +198,9 @@ def test_info_for_programs(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["finished"]
     assert found["time"] == 0.1
-    assert found["files"]["flagellum.vtkhdf"] == {"frames": 3, "points": 41}
+    assert found["files"]["flagellum.vtkhdf"] == {"frames": 3, "points": 41, "time": 0.1}
+    assert found["checkpoint"] == {"time": 0.1, "steps": found["steps"]}
+    assert found["log"]["t"] == 0.1
     assert found["options"]["nodes"] == 41
 
 
@@ -210,7 +208,7 @@ def test_a_frame_that_is_not_there(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
     assert cli.main(["field", str(run), "--frame", "2"]) == 1
-    assert "flagellum.vtkhdf has 2 frames, none number 2" in capsys.readouterr().err
+    assert f"frame: {run} has 2 frames, none number 2" in capsys.readouterr().err
     assert cli.main(["field", str(run), "--frame", "-2", "--resolution", "3"]) == 0
 
 
@@ -292,36 +290,6 @@ def test_stopped_before_the_first_frame(tmp_path, monkeypatch):
     assert_equal_runs(whole, early)
 
 
-def test_overwriting_spares_what_is_not_the_runs(tmp_path, capsys):
-    run = tmp_path / "run"
-    assert cli.main(swim(run, 0.05)) == 0
-    (run / "notes.txt").write_text("mine")
-    assert cli.main([*swim(run, 0.1), "--overwrite"]) == 0
-    assert (run / "notes.txt").read_text() == "mine"
-    assert len(trajectories(run)["flagellum.vtkhdf"][0]) == 3
-    other = tmp_path / "other"
-    other.mkdir()
-    (other / "config.toml").write_text('theme = "dark"')
-    assert cli.main([*swim(other, 0.1), "--overwrite"]) == 1
-    assert (other / "config.toml").read_text() == 'theme = "dark"'
-
-
-def test_overwriting_spares_lists_that_are_not_the_runs(tmp_path):
-    """Of .pvd and .vtp files those of the run's own bodies go, and no others."""
-    run = tmp_path / "run"
-    assert cli.main([*swim(run, 0.05), "--set", "live=true"]) == 0
-    own = [run / "flagellum.pvd", run / "flagellum" / "000001.vtp"]
-    assert all(path.exists() for path in own)
-    foreign = [run / "mine.pvd", run / "mine" / "000000.vtp"]
-    foreign[1].parent.mkdir()
-    for path in foreign:
-        path.write_text("mine")
-    assert cli.main([*swim(run, 0.05), "--overwrite"]) == 0
-    assert not (run / "flagellum").exists()
-    assert not own[0].exists()
-    assert [path.read_text() for path in foreign] == ["mine", "mine"]
-
-
 def test_one_run_at_a_time_in_a_directory(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
@@ -357,10 +325,10 @@ def test_what_users_functions_give_is_checked(values):
     with pytest.raises(ValueError, match="beat must give"):
         mrs.Rods(line, beat=lambda s, t: values, **moduli)
     with pytest.raises(ValueError, match="base: velocity must give"):
-        mrs.Rods(line, base=mrs.Drive(velocity=values), **moduli)
+        mrs.Rods(line, base=mrs.Drive(velocity=lambda t: values), **moduli)
     flow = mrs.flows.UserFlow(lambda points, time: values)
     sim = mrs.Simulation(mrs.Fluid(background=flow), [mrs.Tracers(np.ones((4, 3)))])
-    with pytest.raises(ValueError, match="velocity must give"):
+    with pytest.raises(mrs.SimulationError, match="at time 0: background velocity must give"):
         sim.run(1.0)
 
 

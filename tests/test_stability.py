@@ -599,7 +599,7 @@ def _beyond():
     yield partial(mrs.geometry.straight, 1e300, 8), "length", "1e+60"
     yield partial(rod_of, line._replace(nodes=1e300 * line.nodes), 1.0, 1.0), "centerlines", "1e+60"
     yield partial(simulate, [swimmers], 1e-300), "epsilon", "1e-60"
-    yield partial(simulate, [swimmers], 1.0, steric=mrs.Steric(1.0, 1e-300)), "steric.radius"
+    yield partial(mrs.Steric, 1.0, 1e-300), "radius", "1e-60"
     # No step is short enough for these: the run ends before it begins.
     stiff = rod_of(line, 1e100, 1.0, **bent)
     short = rod_of(line._replace(nodes=1e-300 * line.nodes), 1.0, 1.0, **bent)

@@ -79,7 +79,7 @@ def test_pair_rates():
 
 AT_HALF = {
     "pusher": [[0.013685846, -0.000138590, 0.362107334], [0.999167550, 0.657697029, 0.500579835]],
-    # physics.md prints 1.008618036 for the fourth; DOP853 on the oracle gives 1.008618044867.
+    # DOP853 on the oracle gives 1.008618044867 for the fourth.
     "puller": [[0.000870370, 0.001748026, 0.358490525], [1.008618045, 0.662894596, 0.499264424]],
 }
 

@@ -1,12 +1,14 @@
 """A kernel in a file of the user's own: the Rotne-Prager-Yamakawa tensor."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
 import treecode as tc
 from rotne_prager import RotnePrager
+from treecode import auto
 
 RADIUS, VISCOSITY = 0.07, 1.3
 KERNEL = RotnePrager(RADIUS, VISCOSITY)
@@ -64,6 +66,57 @@ def test_kitc_converges():
 def test_taylor_says_what_is_missing():
     with pytest.raises(TypeError, match=r"taylor.*RotnePrager.*kitc"):
         tc.Plan(KERNEL, "taylor")
+
+
+class Plain(NamedTuple):
+    """Without units."""
+
+    strength_size = weight_size = value_size = 3
+
+    def weights(self, q):
+        return q
+
+    def pair(self, dx, dy, dz, w, acc):
+        return acc
+
+
+@pytest.mark.parametrize("lengths", [None, (1, 1), (1, 1, 1, 1), 1])
+@pytest.mark.parametrize("backend", ["auto", "direct", "fmm"])
+def test_units_of_values_are_asked_for(backend, lengths):
+    """One norm over velocities and angular velocities would hide one of them."""
+    kind = type("Two", (Plain,), {} if lengths is None else {"value_lengths": lengths})
+    with pytest.raises(TypeError, match=r"must have value_lengths, a tuple of 3.*\(1, 1, 1\).*got"):
+        tc.Plan(kind(), backend)
+
+
+class TwoUnits(RotnePrager):
+    """Velocities, and the same a thousandth as large in another unit."""
+
+    value_size = 6
+    value_lengths = (1, 1, 1, 2, 2, 2)
+
+    def pair(self, dx, dy, dz, w, acc):
+        s = tc.inverse_sqrt(1e-4 + dx * dx + dy * dy + dz * dz)
+        t = 1e-3 * s * s * s
+        return (
+            acc[0] + s * w[0],
+            acc[1] + s * w[1],
+            acc[2] + s * w[2],
+            acc[3] + t * (w[1] * dz - w[2] * dy),
+            acc[4] + t * (w[2] * dx - w[0] * dz),
+            acc[5] + t * (w[0] * dy - w[1] * dx),
+        )
+
+
+def test_each_unit_of_a_user_kernel_keeps_the_tolerance(monkeypatch):
+    monkeypatch.setattr(auto, "FEW", 0)
+    rng = np.random.default_rng(4)
+    points, forces = rng.random((3000, 3)), rng.standard_normal((3000, 3))
+    kernel = TwoUnits(0.01, 1.0)
+    values = tc.evaluate(kernel, points, forces, tol=1e-3)
+    exact = tc.evaluate(kernel, points, forces, backend="direct")
+    for unit in (slice(0, 3), slice(3, 6)):
+        assert 0.0 < tc.relative_error(values[:, unit], exact[:, unit]) <= 1e-3
 
 
 def test_page_shows_the_tested_file():

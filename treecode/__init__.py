@@ -2,7 +2,7 @@
 
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
-from treecode.auto import Choice, ToleranceError
+from treecode.auto import CancellationError, Choice, ToleranceError
 from treecode.kernels import (
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
@@ -10,11 +10,14 @@ from treecode.kernels import (
     StokesletStresslet,
 )
 from treecode.kernels.base import Kernel
+from treecode.locks import Lock
 from treecode.plan import Plan, evaluate, relative_error
 
 __all__ = [
+    "CancellationError",
     "Choice",
     "Kernel",
+    "Lock",
     "Plan",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",

@@ -1,8 +1,8 @@
 """What a step costs
 
-K's rods (K 8.2, 151 nodes each) on a square grid, made to beat: `kitc` with theta 0.7 and n = 5,
-forward Euler with steps of a microsecond, one thread. "Outside" is what a step takes besides the
-sums: rods, integrator, checks.
+The rods of K 8.2, 151 nodes each, stand on a square grid and are made to beat. `kitc` has theta
+0.7 and n = 5. The steps are a microsecond of forward Euler, on one thread. "Outside the sums" is
+the rest of a step: rods, integrator, checks.
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
 """Run time against error
 
-K example 1 (organisms in a cube, epsilon 0.02), one thread, as in K figure 2. Seconds go from
-points to values; building the operators of `fmm`, done once for a kernel, a box and a tolerance,
-stands apart. E is K eq. (8.1) at 2000 random targets. ~: from sampled targets, in proportion. Stars
-are on the lower envelope: no other backend and parameters are both faster and more accurate. FMM3D
-(`fmm3dpy`) sums singular Stokeslets on the same points, with its own arithmetic and without
-epsilon, and its error is against direct sums of these.
+K example 1 (organisms in a cube, epsilon 0.02) on one thread, as in K figure 2. Seconds go from
+points to values. The building of the operators of `fmm` stands apart; it is done once for a
+kernel, a box and a tolerance. E is K eq. (8.1) at 2000 random targets.
+
+A "~" marks a time in proportion to that of sampled targets. A star marks the lower envelope: no
+other method and parameters are both faster and more accurate. FMM3D (`fmm3dpy`) sums singular
+Stokeslets at the same points in its own arithmetic. Its error is against direct sums of singular
+Stokeslets.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Error against epsilon
 
-K example 1 with organisms as long as epsilon, K table 3: `kitc` with theta 0.7, n = 7 and N0 =
-2000, and `fmm`, one thread. E at 2000 random targets, for `kitc` the only ones; its time does not
-depend on epsilon.
+K example 1 with organisms as long as epsilon, as in K table 3, on one thread. `kitc` has theta
+0.7, n = 7 and N0 = 2000. E is K eq. (8.1) at 2000 random targets. `kitc` is summed at these
+targets only, since its time does not depend on epsilon.
 """
 
 from __future__ import annotations

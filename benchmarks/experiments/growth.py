@@ -1,8 +1,9 @@
 """Time and error against the number of points
 
-K example 1 (epsilon 0.02), one thread, `kitc` with theta 0.7 and N0 = 2000, as K figure 3 and table
-1; "K" is what they print for n = 7 and for direct sums. E at 2000 random targets. ~: from sampled
-targets, in proportion. Building the operators of `fmm` is not in its seconds.
+K example 1 (epsilon 0.02) on one thread, as in K figure 3 and table 1. `kitc` has theta 0.7 and
+N0 = 2000. "K" marks the numbers that the paper prints, for n = 7 and for direct sums. E is K eq.
+(8.1) at 2000 random targets. A "~" marks a time in proportion to that of sampled targets. The
+building of the operators of `fmm` is not in its seconds.
 """
 
 from __future__ import annotations

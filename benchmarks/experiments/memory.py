@@ -1,10 +1,10 @@
 """Memory
 
-The most that NumPy holds from points to values, the caller's arrays, the result and the operators
-of `fmm` included; what compiled code takes beside, some 100 KiB a thread, is not. K example 1 as in
-K table 2 (theta 0.7, N0 = 2000), sphere and cube as in T tables 2 and 4 (theta 0.5, N0 = 2000);
-"paper" is what they print. A direct sum is measured with 10,000 points and its memory taken in
-proportion.
+The most memory that NumPy holds at one time, from points to values. The caller's arrays, the
+result and the operators of `fmm` are included. The memory of compiled code is not, some 100 KiB a
+thread. K example 1 is as in K table 2 (theta 0.7, N0 = 2000), sphere and cube as in T tables 2
+and 4 (theta 0.5, N0 = 2000). "Paper" marks the numbers that the papers print. The memory of a
+direct sum is in proportion to that of 10,000 points.
 """
 
 from __future__ import annotations

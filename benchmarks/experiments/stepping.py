@@ -1,9 +1,10 @@
 """Time stepping: error at a fixed time against wall time
 
-Three scenes, direct sums, one thread: the stiff rod of Olson, Lim & Cortez after 10 ms; 60 swimmers
-that meet, after 2 s; nine beating cilia after a quarter of a beat. Fixed steps for the explicit
-methods, tolerances for those that estimate their error. The error is the root mean square distance
-of points from those of a run of `rk4` with much smaller steps, in lengths of a body.
+Three scenes with direct sums on one thread: the stiff rod of Olson, Lim & Cortez after 10 ms, 60
+swimmers that meet after 2 s, and nine beating cilia after a quarter of a beat. Explicit methods
+have fixed steps. Methods that estimate their error have tolerances. The error is the root mean
+square distance of points from those of a run of `rk4` with much smaller steps, in lengths of a
+body.
 """
 
 from __future__ import annotations

@@ -1,9 +1,11 @@
 """Singular Stokeslets and stresslets: sphere and cube
 
-T tables 1 (Stokeslets and stresslets on the unit sphere, strengths f, h, nu) and 3 (Stokeslets in a
-cube of number density 2500), `taylor` with N0 = 2000, and `fmm` beside it; one thread. "T" is what
-the paper prints, its seconds those of its direct sum over its ratio. E at 2000 random targets. ~:
-from sampled targets, in proportion. Building the operators of `fmm` is not in its seconds.
+T table 1 has Stokeslets and stresslets on the unit sphere (strengths f, h, nu). T table 3 has
+Stokeslets in a cube of number density 2500. `taylor` has N0 = 2000, and `fmm` stands beside it,
+both on one thread. "T" marks the numbers that the paper prints. Its seconds are those of its
+direct sum over the ratio that it prints. E is K eq. (8.1) at 2000 random targets. A "~" marks a
+time in proportion to that of sampled targets. The building of the operators of `fmm` is not in
+its seconds.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """One thread and two
 
-The same sum on one thread and on two, in turns; the efficiency is half the ratio of their times,
-median over turns. "Paper": K tables 4 and 5 and T table 5, on two cores. ~: from sampled targets,
-in proportion.
+The same sum on one thread and on two, in turns. The efficiency is half the ratio of their times,
+the median over turns. "Paper" marks the numbers of K tables 4 and 5 and T table 5, on two cores.
+A "~" marks a time in proportion to that of sampled targets.
 """
 
 from __future__ import annotations

@@ -2,10 +2,56 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class WriteError(OSError):
+    """A file could not be written; the message names it and says what to do."""
+
+
+class DamagedError(ValueError):
+    """A file that is cut short, damaged, or not what it should be.
+
+    Attributes
+    ----------
+    reason : str
+        What is wrong: the message without the file's name, and without the remedy.
+    """
+
+    def __init__(self, path: Path, reason: str, remedy: str = "") -> None:
+        super().__init__(f"{path} {reason}{remedy}")
+        self.reason = reason
+
+
+@contextmanager
+def telling(path: Path) -> Iterator[None]:
+    """Say which file it was if a write fails, and what to do if the disk is full.
+
+    Raises
+    ------
+    WriteError
+        In place of an OSError that names no file, or of a full disk.
+    """
+    try:
+        yield
+    except WriteError:
+        raise
+    except OSError as error:
+        full = error.errno in _FULL
+        if not full and (error.errno is None or error.filename is not None):
+            raise
+        kept = (
+            "; what it held before is kept: free some space, then `mrs resume` a run, or try again"
+        )
+        told = WriteError(f"{path} could not be written: {error.strerror}" + kept * full)
+        told.errno = error.errno
+        raise told from error
 
 
 @contextmanager
@@ -17,15 +63,21 @@ def replacing(path: Path) -> Iterator[Path]:
     path : Path
         Of the file to be. The temporary name beside it has the same suffix.
     """
-    temporary = path.with_name(f".{path.stem}.partial{path.suffix}")
+    temporary = temporary_name(path)
     try:
-        yield temporary
-        sync(temporary)
+        with telling(path):
+            yield temporary
+            sync(temporary)
         temporary.replace(path)
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
     sync_folder(path.parent)
+
+
+def temporary_name(path: Path) -> Path:
+    """Return what a file is called until it is whole; a run that is killed leaves it behind."""
+    return path.with_name(f".{path.stem}.partial{path.suffix}")
 
 
 def sync(path: Path) -> None:

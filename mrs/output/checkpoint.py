@@ -14,7 +14,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, replacing
+from mrs.output.hdf5 import File
 
 
 def save(
@@ -38,14 +39,14 @@ def save(
     content = {name: np.asarray(array) for name, array in arrays.items()}
     text = json.dumps(attributes, default=_plain)
     with replacing(path) as temporary:
-        with h5py.File(temporary, "w", libver="earliest") as file:
+        with File(temporary, "w") as file:
             file["attributes"] = text
             file.attrs["sha256"] = _digest(content, text)
             group = file.create_group("arrays")
             for name, array in content.items():
                 group[name] = array
         if _is_intact(path):  # a damaged one must not take the place of a good one before it
-            with replacing(_previous(path)) as spare:
+            with replacing(previous(path)) as spare:
                 shutil.copyfile(path, spare)
 
 
@@ -73,23 +74,26 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
     """
     path = Path(path)
     problems = []
-    for candidate in (path, _previous(path)):
+    for candidate in (path, previous(path)):
         try:
             content = _read(candidate)
         except FileNotFoundError:
             problems.append(f"{candidate} is missing")
+        except DamagedError as error:
+            problems.append(str(error))
         except (OSError, KeyError, ValueError, RuntimeError) as error:
             problems.append(f"{candidate} is damaged ({error})")
         else:
             if problems:
                 warnings.warn(f"{problems[0]}; reading {candidate}", stacklevel=2)
             return content
-    if path.exists() or _previous(path).exists():
+    if path.exists() or previous(path).exists():
         raise ValueError(f"no intact checkpoint: {'; '.join(problems)}")
     raise FileNotFoundError(f"no checkpoint {path}")
 
 
-def _previous(path: Path) -> Path:
+def previous(path: Path) -> Path:
+    """Return the name of the checkpoint before the one called `path`."""
     return path.with_suffix(f".previous{path.suffix}")
 
 
@@ -102,7 +106,7 @@ def _is_intact(path: Path) -> bool:
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    with h5py.File(path, "r", locking=False) as file:
+    with File(path, "r") as file:
         text = file["attributes"][()].decode()
         arrays: dict[str, np.ndarray] = {}
 

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+from xml.etree import ElementTree
 
 import numpy as np
 
-from mrs.output.vtkhdf import Trajectory
-from mrs.output.vtp import polydata, write_pvd
+from mrs import rundir
+from mrs.output.atomic import replacing
+from mrs.output.frames import Frames, trajectory_paths
+from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.output.vtp import polydata, write_pvd, write_xml
 
 if TYPE_CHECKING:
     import meshio
 
-# Of all that meshio writes, what reads back equal: with arrays, and points and cells only.
-_WITH_ARRAYS = ("vtu", "xdmf", "vtk", "avs", "hmf", "med")
-_WITHOUT_ARRAYS = ("ply", "bdf", "nas", "mdpa", "vol")
+# Those that hold all arrays and that a program besides meshio opens: docs/decisions/0044.
+FORMATS = ("vtp", "vtu", "xdmf", "vtk", "med")
 _WITH_LIST = ("vtp", "vtu")
-
-FORMATS = ("vtp", *_WITH_ARRAYS, *_WITHOUT_ARRAYS)
 
 
 def export(
@@ -31,6 +34,9 @@ def export(
 ) -> list[Path]:
     """Write frames of all trajectories of a run, ``<body>_000012.<format>`` for frame 12.
 
+    Files in the same folder of frames that a body does not have, which a longer run has left there,
+    are deleted.
+
     Parameters
     ----------
     directory : path
@@ -38,10 +44,10 @@ def export(
     format : str
         One of `FORMATS`. "vtp" holds lines as they are, written by pyvista; all others come from
         meshio, where a line is a row of segments with the line's data each. "vtp" and "vtu" come
-        with a .pvd, which lists the files and their times. "ply", "bdf", "nas", "mdpa" and "vol"
-        have points and segments only.
+        with a .pvd, which lists the files and their times; "xdmf" has the time in each file.
     destination : path, optional
-        Folder to write to, ``directory/format`` by default.
+        Folder to write to, ``directory/format`` by default. Frames there of an earlier export, in
+        the same format and of bodies of the same name, are deleted.
     frames : iterable of int, optional
         All by default; negative ones count from the end.
 
@@ -66,64 +72,80 @@ def export(
     paths = trajectory_paths(directory)
     destination.mkdir(parents=True, exist_ok=True)
     wanted = None if frames is None else list(frames)
-    files, lists = [], []
+    files: list[Path] = []
+    lists: list[Path] = []
     for path in paths:
         with Trajectory(path) as trajectory:
-            written = _export(trajectory, suffix, destination, wanted)
-        files += [file for _, file in written]
-        if suffix in _WITH_LIST:
-            lists.append(destination / f"{path.stem}.pvd")
-            write_pvd(lists[-1], [(time, file.name) for time, file in written])
+            known = Frames([trajectory])
+            numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
+            own = {i: destination / f"{path.stem}_{i:06d}.{suffix}" for i in numbers}
+            made = [destination / f"{path.stem}.pvd"] if suffix in _WITH_LIST else []
+            rundir.note_made(directory, *own.values(), *made)
+            for i, file in own.items():
+                _write(trajectory, i, file)
+        files += own.values()
+        ours = re.compile(rf"{re.escape(path.stem)}_\d{{6,}}\.{suffix}")
+        for old in set(destination.iterdir()).difference(files):
+            if ours.fullmatch(old.name):
+                old.unlink()
+        for file in made:
+            write_pvd(file, [(known.times[i], file.name) for i, file in own.items()])
+        lists += made
     return files + lists
 
 
-def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
-    """Return the trajectories of a run.
-
-    Parameters
-    ----------
-    directory : path
-
-    Raises
-    ------
-    FileNotFoundError
-        If there are none.
-    """
-    paths = sorted(Path(directory).glob("[!.]*.vtkhdf"))
-    if not paths:
-        raise FileNotFoundError(f"no trajectories (*.vtkhdf) in {directory}")
-    return paths
-
-
-def _export(
-    trajectory: Trajectory, suffix: str, destination: Path, frames: list[int] | None
-) -> list[tuple[float, Path]]:
-    every = range(len(trajectory))
-    written = []
-    for i in every if frames is None else [every[i] for i in frames]:
-        file = destination / f"{trajectory.path.stem}_{i:06d}.{suffix}"
-        if suffix == "vtp":
-            frame = (trajectory.points(i), trajectory.point_data(i), trajectory.cell_data(i))
-            polydata(trajectory.topology, *frame).save(file)
+def _write(trajectory: Trajectory, i: int, file: Path) -> None:
+    """Write a frame in the format of the suffix."""
+    frame = trajectory.points(i), trajectory.point_data(i), trajectory.cell_data(i)
+    if file.suffix == ".vtp":
+        write_xml(file, polydata(trajectory.topology, *frame))
+        return
+    with replacing(file) as temporary:
+        if file.suffix == ".xdmf":
+            _write_xdmf(temporary, trajectory.topology, *frame, time=trajectory.times[i])
+        elif file.suffix == ".med":  # by HDF5, which crashes on a full disk
+            content = io.BytesIO()
+            _mesh(trajectory.topology, *frame).write(content, "med")
+            temporary.write_bytes(content.getvalue())
         else:
-            options = {"data_format": "XML"} if suffix == "xdmf" else {}  # one file, not two
-            _mesh(trajectory, i, suffix in _WITH_ARRAYS).write(file, **options)
-        written.append((float(trajectory.times[i]), file))
-    return written
+            _mesh(trajectory.topology, *frame).write(temporary)
 
 
-def _mesh(trajectory: Trajectory, i: int, arrays: bool) -> meshio.Mesh:
+def _write_xdmf(
+    path: Path,
+    topology: Topology,
+    points: np.ndarray,
+    *data: dict[str, np.ndarray],
+    time: float,
+) -> None:
+    """Write one file, not two; with all digits; and with the time, without which VTK refuses it."""
+    exact = [{name: _widest(array) for name, array in arrays.items()} for arrays in data]
+    _mesh(topology, _widest(points), *exact).write(path, data_format="XML")
+    tree = ElementTree.parse(path)
+    grid = tree.find("Domain/Grid")
+    assert grid is not None
+    ElementTree.SubElement(grid, "Time", Value=repr(float(time)))
+    tree.write(path)
+
+
+def _widest(array: np.ndarray) -> np.ndarray:
+    return array.astype(np.float64 if array.dtype.kind == "f" else np.int64)
+
+
+def _mesh(
+    topology: Topology,
+    points: np.ndarray,
+    point_data: dict[str, np.ndarray],
+    cell_data: dict[str, np.ndarray],
+) -> meshio.Mesh:
     """Return a frame of segments, or of vertices if there are no lines."""
     import meshio
 
-    vertices, lines = trajectory.topology
+    vertices, lines = topology
     if lines:
         block = ("line", np.concatenate([np.stack([n[:-1], n[1:]], axis=1) for n in lines]))
         rows = np.repeat(len(vertices) + np.arange(len(lines)), [len(n) - 1 for n in lines])
     else:
         block, rows = ("vertex", vertices[:, None]), np.arange(len(vertices))
-    data: dict[str, Any] = {}
-    if arrays:
-        data["point_data"] = trajectory.point_data(i)
-        data["cell_data"] = {k: [a[rows]] for k, a in trajectory.cell_data(i).items()}
-    return meshio.Mesh(trajectory.points(i), [block], **data)
+    cells = {name: [array[rows]] for name, array in cell_data.items()}
+    return meshio.Mesh(points, [block], point_data, cells)

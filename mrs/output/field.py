@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
-
-if TYPE_CHECKING:
-    import pyvista as pv
-
-Velocity = Callable[[np.ndarray], np.ndarray]
+from mrs.output.vtp import write_xml
 
 
 class Grid(NamedTuple):
@@ -86,83 +82,125 @@ def grid_around(
     return Grid(corner, float(spacing), (nx, ny, nz))
 
 
+def seeds_in(points: ArrayLike, count: int) -> np.ndarray:
+    """Return points spread evenly over the box of other points, (m, 3), none on its faces.
+
+    Parameters
+    ----------
+    points : (n, 3) array_like
+    count : int
+        Seeds along the longest side of the box.
+    """
+    points = np.asarray(points, np.float64)
+    low, size = points.min(axis=0), np.ptp(points, axis=0)
+    shares = size / (size.max() or 1.0)
+    counts = np.maximum(1, np.ceil(count * shares * (1 - 1e-12))).astype(int)
+    places = [(np.arange(n) + 0.5) / n for n in counts]
+    return low + size * np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
 def write_field(
     path: str | os.PathLike[str],
     grid: Grid,
-    velocity: ArrayLike | Velocity,
-    **extra: ArrayLike,
+    arrays: Mapping[str, ArrayLike],
+    numbers: Mapping[str, float] | None = None,
 ) -> None:
-    """Write velocity, and what else there is, on a grid to a .vti file.
+    """Write arrays on a grid to a .vti file.
 
     Parameters
     ----------
     path : path
         Ends in .vti.
     grid : Grid
-    velocity : (n, 3) array_like or callable
-        At ``grid.points``, or what returns it for (n, 3) points.
-    **extra : (n,) or (n, k) array_like
-        Other arrays at the same points.
+    arrays : dict of (n,) or (n, k) array_like
+        At ``grid.points``.
+    numbers : dict of float, optional
+        That belong to all of it, such as the time: VTK's field data.
 
     Raises
     ------
     ValueError
         If an array has not a row for each point of the grid.
     """
-    image = _image(grid, velocity)
-    for name, values in extra.items():
-        image.point_data[name] = np.asarray(values)
-    with replacing(Path(path)) as temporary:
-        image.save(temporary)
+    import pyvista as pv
+
+    image = pv.ImageData(
+        dimensions=grid.dimensions, spacing=(grid.spacing,) * 3, origin=tuple(grid.origin)
+    )
+    for name, values in arrays.items():
+        image.point_data[name] = _rows(name, values, grid)
+    for name, number in (numbers or {}).items():
+        image.field_data[name] = [float(number)]
+    write_xml(Path(path), image)
 
 
 def streamlines(
-    path: str | os.PathLike[str],
-    grid: Grid,
-    velocity: ArrayLike | Velocity,
-    seeds: ArrayLike,
-    max_length: float | None = None,
+    path: str | os.PathLike[str], grid: Grid, velocity: ArrayLike, seeds: ArrayLike
 ) -> None:
-    """Write streamlines through seeds, both ways, to a .vtp file; speed is among their arrays.
+    """Write streamlines through seeds, both ways, to a .vtp file.
+
+    Their arrays are the velocity, the speed, and VTK's IntegrationTime from the seed. A line ends
+    where the grid ends, where the fluid is at rest, or after four times the longest side.
 
     Parameters
     ----------
     path : path
         Ends in .vtp.
     grid : Grid
-        They end where it ends.
-    velocity : (n, 3) array_like or callable
-        As for `write_field`; interpolated between grid points.
+    velocity : (n, 3) array_like
+        At ``grid.points``; interpolated between them.
     seeds : (m, 3) array_like
-    max_length : float, optional
-        Of a line either way; four times the longest side of the grid by default.
+
+    Raises
+    ------
+    ValueError
+        If the velocity has not a row for each point of the grid.
+
+    Warns
+    -----
+    UserWarning
+        If there are no lines, and why.
     """
     import pyvista as pv
 
-    image = _image(grid, velocity)
-    longest = grid.spacing * (max(grid.dimensions) - 1)
+    velocity = _rows("velocity", velocity, grid)
+    fastest = float(np.linalg.norm(velocity, axis=1).max()) or 1.0
+    # VTK bounds steps and the error of a line by lengths: all are in spacings here, and speeds in
+    # the largest, so that units do not matter.
+    image = pv.ImageData(dimensions=grid.dimensions)
+    image.point_data["velocity"] = velocity / fastest
+    places = (np.asarray(seeds, np.float64) - grid.origin) / grid.spacing
     lines = image.streamlines_from_source(
-        pv.PolyData(np.array(seeds, np.float64)),
+        pv.PolyData(places),
         vectors="velocity",
         integration_direction="both",
-        max_length=4 * longest if max_length is None else max_length,
+        max_length=4.0 * (max(grid.dimensions) - 1),
+        step_unit="l",
+        initial_step_length=0.05,
+        min_step_length=1e-3,
+        max_step_length=0.5,  # a step that would leave the grid ends the line before it
         max_steps=10_000,
+        max_error=1e-6,
         terminal_speed=0.0,
+        compute_vorticity=False,
     )
-    lines.point_data["speed"] = np.linalg.norm(lines.point_data["velocity"], axis=1)
-    with replacing(Path(path)) as temporary:
-        lines.save(temporary)
+    if lines.n_lines:
+        lines.points = grid.origin + grid.spacing * lines.points.astype(np.float64)
+        data = lines.point_data
+        data["velocity"] = fastest * data["velocity"]
+        data["speed"] = np.linalg.norm(data["velocity"], axis=1)
+        data["IntegrationTime"] = grid.spacing / fastest * data["IntegrationTime"]
+    else:
+        lines = pv.PolyData()
+        reason = "they leave the grid at once" if velocity.any() else "the fluid is at rest"
+        warnings.warn(f"no streamlines through {len(places)} seeds: {reason}", stacklevel=2)
+    write_xml(Path(path), lines)
 
 
-def _image(grid: Grid, velocity: ArrayLike | Velocity) -> pv.ImageData:
-    import pyvista as pv
-
-    values = np.asarray(velocity(grid.points) if callable(velocity) else velocity)
+def _rows(name: str, values: ArrayLike, grid: Grid) -> np.ndarray:
+    """Return an array with a row for each point of a grid."""
+    array = np.asarray(values)
     count = int(np.prod(grid.dimensions))
-    if values.shape != (count, 3):
-        raise ValueError(f"velocity must have shape ({count}, 3), got {values.shape}")
-    image = pv.ImageData(
-        dimensions=grid.dimensions, spacing=(grid.spacing,) * 3, origin=tuple(grid.origin)
-    )
-    image.point_data["velocity"] = values
-    return image
+    if array.shape[:1] != (count,):
+        raise ValueError(f"{name} must have a row for each of {count} points, got {array.shape}")
+    return array

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, telling
 from mrs.output.vtkhdf import Topology
-from mrs.output.vtp import polydata, read_pvd, write_pvd
+from mrs.output.vtp import polydata, read_pvd, write_pvd, write_xml
 
 
 def append(
@@ -36,12 +37,64 @@ def append(
     """
     path = Path(path)
     files = read_pvd(path)
-    name = f"{path.stem}/{len(files):06d}.vtp"
-    folder = path.parent / path.stem
-    folder.mkdir(parents=True, exist_ok=True)
-    with replacing(path.parent / name) as temporary:
-        polydata(topology, points, point_data, cell_data).save(temporary)
-    write_pvd(path, [*files, (time, name)])
+    frame = next_frame(path)
+    with telling(frame):
+        frame.parent.mkdir(parents=True, exist_ok=True)
+    write_xml(frame, polydata(topology, points, point_data, cell_data))
+    write_pvd(path, [*files, (time, frame.relative_to(path.parent).as_posix())])
+
+
+def next_frame(path: Path) -> Path:
+    """Return where the next frame will be: after those listed, and after those of a lost list.
+
+    Parameters
+    ----------
+    path : Path
+        Of the list, or the place where one will be.
+    """
+    listed = [name for _, name in read_pvd(path)[-1:]]
+    frames = listed or (path.parent / path.stem).glob("[0-9]*.vtp")
+    number = max((int(Path(frame).stem) + 1 for frame in frames), default=0)
+    return path.parent / path.stem / f"{number:06d}.vtp"
+
+
+def times(path: Path, points: int) -> list[float]:
+    """Return the times of the frames.
+
+    Parameters
+    ----------
+    path : Path
+        Of the list.
+    points : int
+        How many a frame must have.
+
+    Raises
+    ------
+    DamagedError
+        If the list is damaged, or if a frame in it is missing, cut short or of another body.
+    """
+    files = read_pvd(path)
+    for _, name in files:
+        frame = path.parent / name
+        if not frame.is_file():
+            raise DamagedError(path, f"lists {name}, which is missing")
+        found = _points(frame)
+        if found is None:
+            raise DamagedError(path, f"lists {name}, which is cut short or damaged")
+        if found != points:
+            raise DamagedError(
+                path, f"is of another scene: {name} has {found} points, not {points}"
+            )
+    return [time for time, _ in files]
+
+
+def _points(frame: Path) -> int | None:
+    """Return how many points a frame has; None if it does not end as it should."""
+    with frame.open("rb") as file:
+        number = re.search(rb'NumberOfPoints="(\d+)"', file.read(4096))
+        file.seek(-min(frame.stat().st_size, 64), os.SEEK_END)
+        whole = file.read().rstrip().endswith(b"</VTKFile>")
+    return int(number[1]) if number and whole else None
 
 
 def cut(path: str | os.PathLike[str], time: float) -> float | None:

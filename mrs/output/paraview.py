@@ -5,6 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from mrs.output.atomic import telling
+
+MACRO = Path("paraview") / "open_in_paraview.py"  # in the run directory
+
 _MACRO = '''"""Open this run. In ParaView: Tools > Python Shell > Run Script, or as a macro.
 
 From a terminal: paraview --script=open_in_paraview.py
@@ -15,6 +19,25 @@ from pathlib import Path
 from paraview.simple import *
 
 RUN = Path({directory!r})
+
+
+def opened(path):
+    """Return a reader of a trajectory, or of its frames where ParaView is older than 5.12."""
+    lists = [path.with_suffix(".pvd"), RUN / "vtp" / (path.stem + ".pvd")]
+    for file in [path, *filter(Path.exists, lists)]:
+        try:
+            data = OpenDataFile(str(file))
+            data.UpdatePipeline()
+        except RuntimeError:  # no reader for such files
+            continue
+        if data.GetDataInformation().GetNumberOfPoints():
+            return data
+        Delete(data)
+    print(
+        f"{{path.name}}: no points read. ParaView before 5.12 cannot read it; the command "
+        f"`mrs export {{RUN}}` writes frames that it can, then run this macro again."
+    )
+    return None
 
 
 def fields(data):
@@ -56,9 +79,10 @@ def show_tracers(data, view):
 
 
 view = GetActiveViewOrCreate("RenderView")
-for path in sorted(RUN.glob("*.vtkhdf")):
-    data = OpenDataFile(str(path))
-    data.UpdatePipeline()
+for path in sorted(RUN.glob("[!.]*.vtkhdf")):
+    data = opened(path)
+    if data is None:
+        continue
     if "orientation" in fields(data.PointData):
         show_swimmers(data, view)
     elif "arclength" in fields(data.PointData):
@@ -85,7 +109,8 @@ def write_macro(directory: str | os.PathLike[str]) -> Path:
         Of the macro.
     """
     directory = Path(directory)
-    path = directory / "paraview" / "open_in_paraview.py"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
+    path = directory / MACRO
+    with telling(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
     return path

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import ctypes
+import io
 import os
 import sys
 from collections.abc import Iterable, Sequence
-from contextlib import ExitStack
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mrs.output.export import trajectory_paths
+from mrs import rundir
+from mrs.output.atomic import replacing
+from mrs.output.frames import Frames, trajectories
 from mrs.output.vtkhdf import Trajectory
 from mrs.output.vtp import polydata
 
@@ -39,9 +42,11 @@ _MARGIN = 0.06  # of the picture, free on each side
 _FOOT = 0.12  # of the picture, free for the bar of colours
 _SAMPLE = 1_000_000  # points that say what the picture must hold
 _FACETS = 2_000_000  # of all spheres together, at most
+_TRANSIENT = 2.0  # times as far as three quarters of the frames reach
 
 Camera = Sequence[Any]
 _Shapes = list[tuple[Any, dict[str, Any]]]  # meshes, and how to draw them
+_Places = list[int]  # of one frame in the file of each body
 
 
 class _Colors(NamedTuple):
@@ -53,11 +58,16 @@ class _Colors(NamedTuple):
 
 
 class _Stage(NamedTuple):
-    """Where the bodies stand, alike in all frames."""
+    """Where the bodies stand, alike in all frames.
 
+    What is drawn is measured from the centre of the scene, in lengths of its longest side: singles,
+    which graphics computes with, serve any unit of length, and any distance from the origin.
+    """
+
+    center: np.ndarray
+    extent: float
     camera: Camera
     foot: float  # of the picture, free for the bar
-    extent: float  # of the scene
     size: tuple[int, int]
     background: str
 
@@ -66,7 +76,7 @@ def render(
     directory: str | os.PathLike[str],
     destination: str | os.PathLike[str],
     *,
-    frame: int | Literal["all"] | None = None,
+    frame: int | slice | None = None,
     color_by: str | None = None,
     camera: Camera | None = None,
     size: tuple[int, int] = (1280, 800),
@@ -80,9 +90,10 @@ def render(
     directory : path
         Of the run.
     destination : path
-        A .png for one frame; a .mp4 or .gif for all of them.
-    frame : int or "all", optional
-        By default the last for a picture, and all for a film. Negative ones count from the end.
+        A .png for one frame; a .mp4 or .gif for several. It appears when it is complete.
+    frame : int or slice, optional
+        Which one of a picture, the last by default; which of a film, all by default. Negative ones
+        count from the end.
     color_by : str, optional
         An array at points or cells; vectors by their length. By default "velocity", if there is
         such an array. Bodies without it have a colour of their own.
@@ -110,19 +121,25 @@ def render(
         If the suffix does not fit, or no body has the array to colour by.
     RuntimeError
         If the machine has no library to draw with.
+
+    Notes
+    -----
+    The colours of a film span what its frames reach, but for a transient: a frame that reaches more
+    than twice as far as three quarters of the frames do is left out, and the bar says how far it
+    reaches.
     """
     destination = Path(destination)
     wanted = _wanted(frame, destination)
-    with ExitStack() as stack:
-        paths = trajectory_paths(directory)
-        bodies = [stack.enter_context(Trajectory(path)) for path in paths]
+    with trajectories(directory) as bodies:
         frames = _frames(bodies, wanted)
         colors = _colors(bodies, frames, color_by)
         stage = _stage(bodies, frames, camera, size, background)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
-        pictures = (_picture(bodies, i, colors, stage) for i in frames)
-        _write(destination, pictures, fps)
+        rundir.note_made(directory, destination)
+        pictures = (_picture(bodies, places, colors, stage) for places in frames)
+        with replacing(destination) as temporary:
+            _write(temporary, pictures, fps)
     return destination
 
 
@@ -152,48 +169,79 @@ def _loads(library: str) -> bool:
     return True
 
 
-def _wanted(frame: int | str | None, destination: Path) -> int | str:
+def _wanted(frame: int | slice | None, destination: Path) -> int | slice:
     if destination.suffix not in (".png", *_FILMS):
         raise ValueError(f"destination must end in .png, .mp4 or .gif, got {destination.name!r}")
     film = destination.suffix in _FILMS
     if frame is None:
-        return "all" if film else -1
-    if (frame == "all") != film:
-        raise ValueError(f"{destination.suffix} holds {'all frames' if film else 'one frame'}")
+        return slice(None) if film else -1
+    if isinstance(frame, slice) != film:
+        holds = "a film: a range of frames such as 0:20 or ::2" if film else "one frame: a number"
+        raise ValueError(f"frame: {destination.suffix} holds {holds}, got {_typed(frame)}")
     return frame
 
 
-def _frames(bodies: list[Trajectory], frame: int | str) -> list[int]:
+def _frames(bodies: list[Trajectory], wanted: int | slice) -> list[_Places]:
     """Return the frames to draw, of those that all bodies have."""
-    every = range(min(map(len, bodies)))
-    if not every:
+    common = Frames(bodies)
+    if not common.numbers:
         raise IndexError(f"no frames in {bodies[0].path.parent} yet")
-    if frame == "all":
-        return list(every)
-    try:
-        return [every[int(frame)]]
-    except IndexError:
-        raise IndexError(f"there are {len(every)} frames, none number {frame}") from None
+    if not isinstance(wanted, slice):
+        return [common.places(common.number(wanted))]
+    known = set(common.numbers)
+    chosen = [number for number in range(len(common.times))[wanted] if number in known]
+    if not chosen:
+        raise IndexError(f"frame: there are {len(common.numbers)} frames, none in {_typed(wanted)}")
+    return [common.places(number) for number in chosen]
 
 
-def _colors(bodies: list[Trajectory], frames: list[int], color_by: str | None) -> _Colors:
+def _typed(frame: int | slice) -> str:
+    """Return a frame or a range of them as it is typed."""
+    if not isinstance(frame, slice):
+        return str(frame)
+    ends = (frame.start, frame.stop, *([] if frame.step is None else [frame.step]))
+    return ":".join("" if end is None else str(end) for end in ends)
+
+
+def _colors(bodies: list[Trajectory], frames: list[_Places], color_by: str | None) -> _Colors:
     """Find the range of colours of all frames."""
     field = _DEFAULT_FIELD if color_by is None else color_by
-    low, high, vector = np.inf, -np.inf, False
-    for body in bodies:
-        for i in frames:
-            values = _field(body, i, field)
-            if values is not None and np.isfinite(values).any():
-                vector |= values.ndim == 2
-                values = _magnitude(values)
-                low, high = min(low, np.nanmin(values)), max(high, np.nanmax(values))
-    if high < low and color_by is not None:
+    ranges, vector = [], False
+    for places in frames:
+        fields = [_field(body, i, field) for body, i in zip(bodies, places, strict=True)]
+        known = [values for values in fields if values is not None and np.isfinite(values).any()]
+        vector |= any(values.ndim == 2 for values in known)
+        if known:
+            values = np.concatenate([_magnitude(values) for values in known])
+            ranges.append((0.0 if vector else np.nanmin(values), np.nanmax(values)))
+    if not ranges and color_by is not None:
         data = [d for body in bodies for d in (body.point_data(-1), body.cell_data(-1))]
         names = ", ".join(sorted({name for arrays in data for name in arrays}))
         raise ValueError(f"color_by must be one of {names}, got {color_by!r}")
-    title = field.replace("_", " ")
-    title += " (magnitude)" if vector else ""
-    return _Colors(field if low <= high else None, (0.0 if vector else low, high), title)
+    if not ranges:
+        return _Colors(None, (0.0, 0.0), "")
+    low, high = _without_transient(np.array(ranges))
+    title = field.replace("_", " ") + (" (magnitude)" if vector else "")
+    beyond = max(top for _, top in ranges)
+    return _Colors(field, (low, high), title + (f", up to {beyond:.3g}" if beyond > high else ""))
+
+
+def _without_transient(ranges: np.ndarray) -> tuple[float, float]:
+    """Return the least and largest value in most frames.
+
+    Often the first frames have by far the largest values, where loads are let go at the start, and
+    would leave all others in one colour. Quantiles of all values would cut the tips of every
+    frame as well.
+
+    Parameters
+    ----------
+    ranges : (frames, 2) float ndarray
+        Least and largest value of each.
+    """
+    reach = np.abs(ranges).max(axis=1)
+    most = np.quantile(reach, 0.75, method="lower")
+    kept = ranges[reach <= _TRANSIENT * most] if most else ranges
+    return float(kept[:, 0].min()), float(kept[:, 1].max())
 
 
 def _field(body: Trajectory, i: int, name: str) -> np.ndarray | None:
@@ -210,34 +258,40 @@ def _field(body: Trajectory, i: int, name: str) -> np.ndarray | None:
     return result
 
 
-def _points(bodies: list[Trajectory], frames: list[int]) -> np.ndarray:
+def _points(bodies: list[Trajectory], frames: list[_Places]) -> np.ndarray:
     """Return points of all frames, (n, 3): all of them, or a fair sample if there are many."""
-    total = len(frames) * sum(len(body.points(frames[0])) for body in bodies)
+    pairs = [pair for places in frames for pair in zip(bodies, places, strict=True)]
+    total = len(frames) * sum(len(body.points(i)) for body, i in pairs[: len(bodies)])
     every = 1 + total // _SAMPLE
-    return np.concatenate([body.points(i)[::every] for body in bodies for i in frames])
+    return np.concatenate([body.points(i)[::every] for body, i in pairs]).astype(np.float64)
 
 
 def _magnitude(values: np.ndarray) -> np.ndarray:
+    values = values.astype(np.float64)  # squares of large singles are beyond their range
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values
 
 
 def _stage(
     bodies: list[Trajectory],
-    frames: list[int],
+    frames: list[_Places],
     camera: Camera | None,
     size: tuple[int, int],
     background: str,
 ) -> _Stage:
     """Set up the camera; without one given, all frames fit into the picture above the bar."""
-    points = _points(bodies, frames)
-    extent = float(np.ptp(points, axis=0).max())
+    points, reach = _points(bodies, frames), _reach(bodies)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
     if camera is not None:
-        return _Stage(camera, 0.0, extent, size, background)
+        *places, up = np.asarray(camera, np.float64)
+        view = [*((place - middle) / extent for place in places), up]
+        return _Stage(middle, extent, view, 0.0, size, background)
     towards = _VIEW / np.linalg.norm(_VIEW)
     slope = np.tan(np.radians(_ANGLE / 2)) * (1 - _MARGIN)
     slopes = np.array([slope * size[0] / size[1], slope * (1 - _FOOT)])
-    center, distance = _fit(points, towards, slopes, _reach(bodies))
-    return _Stage([center + distance * towards, center, (0, 0, 1)], _FOOT, extent, size, background)
+    center, distance = _fit((points - middle) / extent, towards, slopes, reach / extent)
+    view = [center + distance * towards, center, (0, 0, 1)]
+    return _Stage(middle, extent, view, _FOOT, size, background)
 
 
 def _reach(bodies: list[Trajectory]) -> float:
@@ -274,22 +328,46 @@ def _fit(
 
 
 def _write(destination: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
+    if destination.suffix == ".mp4":
+        _write_mp4(destination, pictures, fps)
+        return
+    import imageio.v3 as imageio
+
+    content = io.BytesIO()
+    options = {"duration": 1000 / fps, "loop": 0} if destination.suffix == ".gif" else {}
+    with imageio.imopen(content, "w", extension=destination.suffix) as file:
+        for picture in pictures:
+            file.write(picture, **options)
+    destination.write_bytes(content.getvalue())
+
+
+def _write_mp4(destination: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
     import imageio.v2 as imageio
 
-    if destination.suffix == ".png":
-        for picture in pictures:
-            imageio.imwrite(destination, picture)
-        return
-    film = {"fps": fps, "quality": 8, "macro_block_size": 2}
-    options = film if destination.suffix == ".mp4" else {"duration": 1000 / fps, "loop": 0}
-    writer: Any
-    with imageio.get_writer(destination, **options) as writer:
+    writer: Any = imageio.get_writer(destination, fps=fps, quality=8, macro_block_size=2)
+    count = 0
+    with closing(writer):  # its own `with` leaves ffmpeg at work after an error
         for picture in pictures:
             writer.append_data(picture)
+            count += 1
+    if _length(destination) != count:
+        raise OSError(f"{destination.name}: ffmpeg could not write it; is there room on the disk?")
 
 
-def _picture(bodies: list[Trajectory], i: int, colors: _Colors, stage: _Stage) -> np.ndarray:
-    """Return frame `i` as pixels."""
+def _length(film: Path) -> int:
+    """Return how many pictures a film holds; ffmpeg fails without a word."""
+    import imageio_ffmpeg
+
+    try:
+        return imageio_ffmpeg.count_frames_and_secs(film)[0]
+    except RuntimeError:
+        return 0
+
+
+def _picture(
+    bodies: list[Trajectory], places: _Places, colors: _Colors, stage: _Stage
+) -> np.ndarray:
+    """Return a frame as pixels."""
     import pyvista as pv
 
     plotter: Any = pv.Plotter(off_screen=True, window_size=list(stage.size), lighting="none")
@@ -299,10 +377,10 @@ def _picture(bodies: list[Trajectory], i: int, colors: _Colors, stage: _Stage) -
         for position, intensity in _LIGHTS:
             light = pv.Light(position=position, light_type="camera light", intensity=intensity)
             plotter.add_light(light)
-        for body in bodies:
+        for body, i in zip(bodies, places, strict=True):
             if body.topology.cells:
-                _add_body(plotter, body, i, colors, stage.extent)
-        _add_legend(plotter, f"t = {bodies[0].times[i]:.4g}", colors)
+                _add_body(plotter, body, i, colors, stage)
+        _add_legend(plotter, f"t = {bodies[0].times[places[0]]:.4g}", colors)
         plotter.camera_position = [tuple(map(float, point)) for point in stage.camera]
         plotter.camera.view_angle = _ANGLE
         plotter.camera.SetWindowCenter(0, -stage.foot)
@@ -314,11 +392,11 @@ def _picture(bodies: list[Trajectory], i: int, colors: _Colors, stage: _Stage) -
 
 
 def _add_body(
-    plotter: pv.Plotter, body: Trajectory, i: int, colors: _Colors, extent: float
+    plotter: pv.Plotter, body: Trajectory, i: int, colors: _Colors, stage: _Stage
 ) -> None:
     kind = str(body.meta.get("kind"))
     shapes = {"rods": _tubes, "swimmers": _arrows_and_spheres, "tracers": _dots}
-    for mesh, look in shapes.get(kind, _tubes)(_mesh(body, i, colors.field), extent):
+    for mesh, look in shapes.get(kind, _tubes)(_mesh(body, i, colors.field, stage)):
         if "color" in mesh.point_data:
             look |= {"scalars": "color", "clim": colors.range, "cmap": _COLOR_MAP}
         else:
@@ -360,23 +438,26 @@ def _add_legend(plotter: Any, time: str, colors: _Colors) -> None:
         plotter.add_actor(text, render=False)
 
 
-def _mesh(body: Trajectory, i: int, field: str | None) -> pv.PolyData:
-    """Return a frame with the numbers to colour by."""
+def _mesh(body: Trajectory, i: int, field: str | None, stage: _Stage) -> pv.PolyData:
+    """Return a frame in lengths of the scene, with the numbers to colour by."""
     data = body.point_data(i)
     arrays = {name: array for name, array in data.items() if name in ("radius", "orientation")}
+    if "radius" in arrays:
+        arrays["radius"] = arrays["radius"] / stage.extent
     values = None if field is None else _field(body, i, field)
     if values is not None:
         arrays["color"] = _magnitude(values)
-    return polydata(body.topology, body.points(i), arrays)
+    points = (body.points(i).astype(np.float64) - stage.center) / stage.extent
+    return polydata(body.topology, points, arrays)
 
 
-def _tubes(mesh: pv.PolyData, extent: float) -> _Shapes:
+def _tubes(mesh: pv.PolyData) -> _Shapes:
     if "radius" in mesh.point_data:
         return [(mesh.tube(scalars="radius", absolute=True, n_sides=20), dict(_SHARP))]
-    return [(mesh.tube(radius=0.004 * extent, n_sides=20), dict(_SHARP))]
+    return [(mesh.tube(radius=0.004, n_sides=20), dict(_SHARP))]
 
 
-def _arrows_and_spheres(mesh: pv.PolyData, extent: float) -> _Shapes:
+def _arrows_and_spheres(mesh: pv.PolyData) -> _Shapes:
     import pyvista as pv
 
     pairs = mesh.lines.reshape(-1, 3)[:, 1:]
@@ -410,5 +491,5 @@ def _arrows_and_spheres(mesh: pv.PolyData, extent: float) -> _Shapes:
     return [(arrows, dict(_SHARP)), (spheres, {"smooth_shading": True})]
 
 
-def _dots(mesh: pv.PolyData, extent: float) -> _Shapes:
+def _dots(mesh: pv.PolyData) -> _Shapes:
     return [(mesh, {"style": "points", "point_size": 10, "render_points_as_spheres": True})]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,11 +19,16 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, replacing, telling
+from mrs.output.hdf5 import File
 
 _CELLS = ("Vertices", "Lines", "Polygons", "Strips")
 _DATA = ("PointData", "CellData", "FieldData")
 _FIRST_ROOM = 16
+_REMEDY = (
+    "; put back a copy, or let `mrs resume DIRECTORY --renew-files` begin the file anew from the "
+    "last checkpoint"
+)
 
 _Layout = dict[str, tuple[tuple[int, ...], np.dtype]]  # shape in one frame, and type, by name
 
@@ -47,6 +53,15 @@ class Topology(NamedTuple):
     def cells(self) -> int:
         """Number of vertices and lines."""
         return len(self.vertices) + len(self.lines)
+
+
+def same_topology(one: Topology, other: Topology) -> bool:
+    """Return whether the same points are drawn, and joined, in both."""
+    return (
+        np.array_equal(one.vertices, other.vertices)
+        and len(one.lines) == len(other.lines)
+        and all(map(np.array_equal, one.lines, other.lines))
+    )
 
 
 def create(
@@ -85,7 +100,7 @@ def create(
         **_named("PointData", point_data),
         **_named("CellData", cell_data, topology.cells),
     }
-    with replacing(path) as temporary, _open(temporary, "w") as file:
+    with replacing(path) as temporary, File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 2])
         root.attrs["Type"] = np.bytes_("PolyData")  # the reader wants a fixed-length string
@@ -109,7 +124,8 @@ def append(
 ) -> None:
     """Add a frame; when this returns it is in the file, and before that nothing of it can be seen.
 
-    Floating point arrays are stored as float32, field data and the time as float64.
+    Points, field data and the time are stored as float64, other arrays of floats as float32: what
+    is small beside its distance from the origin would not be seen in single precision.
 
     Parameters
     ----------
@@ -133,7 +149,7 @@ def append(
         file is unchanged.
     """
     path = Path(path)
-    with _open(path, "r") as file:
+    with telling(path), File(path, "r+") as file:
         root = _root(file, path)
         times, room = _times(root), _room(root)
         steps = len(times)
@@ -145,11 +161,10 @@ def append(
             _check_constant(root, layout, len(frame["Points"]))
         if not time > max(times, default=-np.inf):
             raise ValueError(f"time must be later than that of the last frame, got {time!r}")
-    if 0 < steps < room:
-        with _open(path, "r+") as file:
-            _write(file["VTKHDF"], time, frame)
-    else:
-        _rewrite(path, layout, max(_FIRST_ROOM, 2 * steps), (time, frame))
+        if 0 < steps < room:
+            _write(file, time, frame)
+            return
+    _rewrite(path, layout, max(_FIRST_ROOM, 2 * steps), (time, frame))
 
 
 def cut(path: str | os.PathLike[str], time: float) -> float | None:
@@ -168,7 +183,7 @@ def cut(path: str | os.PathLike[str], time: float) -> float | None:
         Time of the last frame left.
     """
     path = Path(path)
-    with _open(path, "r+") as file:
+    with telling(path), File(path, "r+") as file:
         root = _root(file, path)
         times = _times(root)
         left = times[times <= time]
@@ -189,7 +204,7 @@ def trim(path: str | os.PathLike[str]) -> None:
         A file from `create`.
     """
     path = Path(path)
-    with _open(path, "r") as file:
+    with File(path, "r") as file:
         root = _root(file, path)
         steps, room, layout = len(_times(root)), _room(root), _layout(root)
     if 0 < steps < room:
@@ -208,6 +223,8 @@ class Trajectory:
     ----------
     path : Path
     topology : Topology
+    size : int
+        Number of points; 0 before the first frame.
     times : (frames,) float64 ndarray
     meta : dict
         As given to `create`.
@@ -216,8 +233,8 @@ class Trajectory:
     ------
     FileNotFoundError
         If there is no such file.
-    ValueError
-        If it is not a trajectory.
+    DamagedError
+        If it is cut short or no trajectory; the message says what to do.
 
     Examples
     --------
@@ -227,15 +244,20 @@ class Trajectory:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._file = _open(self.path, "r")
         try:
-            self._root = _root(self._file, self.path)
-            self.topology = _topology(self._root)
-            self.times = _times(self._root)
-            self.meta = {key: _plain(value) for key, value in self._file["meta"].attrs.items()}
-        except BaseException:
-            self._file.close()
-            raise
+            with ExitStack() as stack:
+                self._file = stack.enter_context(File(self.path, "r"))
+                self._root = _root(self._file, self.path)
+                self.topology = _topology(self._root)
+                self.times = _times(self._root)
+                self.size = int(self._root["Points"].attrs["rows"]) if len(self.times) else 0
+                self.meta = {key: _plain(value) for key, value in self._file["meta"].attrs.items()}
+                stack.pop_all()  # it stays open
+        except (KeyError, OSError, RuntimeError, ValueError) as error:
+            if getattr(error, "errno", None) is not None:  # no such file, no permission
+                raise
+            reason = getattr(error, "reason", f"is damaged ({error})")
+            raise DamagedError(self.path, reason, _REMEDY) from None
 
     def __enter__(self) -> Trajectory:
         return self
@@ -282,14 +304,9 @@ class Trajectory:
         return {name: self._read(f"{group}/{name}", i) for name in self._root[group]}
 
 
-def _open(path: Path, mode: str) -> h5py.File:
-    """Open without a lock, so that no reader stops the run, in the oldest format."""
-    return h5py.File(path, mode, locking=False, libver="earliest")
-
-
 def _root(file: h5py.File, path: Path) -> h5py.Group:
     if "VTKHDF/Steps" not in file or "meta" not in file:
-        raise ValueError(f"{path} is not a trajectory written by mrs")
+        raise DamagedError(path, "is not a trajectory written by mrs")
     return file["VTKHDF"]
 
 
@@ -308,25 +325,25 @@ def _set_steps(root: h5py.Group, steps: int) -> None:
     root["Steps"].attrs.modify("NSteps", np.int64(steps))
 
 
-def _write(root: h5py.Group, time: float, frame: Mapping[str, np.ndarray]) -> None:
+def _write(file: File, time: float, frame: Mapping[str, np.ndarray]) -> None:
     """Write a frame into the room after the others.
 
     `NSteps` is written before `Values` gets longer: VTK copies all of `Values` into an array of
     `NSteps` numbers. A run killed between the two leaves a whole frame without its time.
     """
+    root = file["VTKHDF"]
     values = root["Steps/Values"]
     steps = len(values)
     for name, array in frame.items():
         if name.startswith("FieldData/"):
             root[name].resize(steps + 1, axis=0)
         root[name][steps * len(array) : (steps + 1) * len(array)] = array
-    root.file.flush()
-    os.fsync(root.file.id.get_vfd_handle())  # else a power cut may keep the mark, not the frame
+    file.sync()  # else a power cut may keep the mark, not the frame
     _set_steps(root, steps + 1)
-    root.file.flush()
+    file.flush()
     values.resize(steps + 1, axis=0)
     values[steps] = time
-    root.file.flush()
+    file.flush()
 
 
 def _topology(root: h5py.Group) -> Topology:
@@ -397,7 +414,7 @@ def _frame(
         raise ValueError(f"points must have shape (n, 3), got {points.shape}")
     numbers = {name: [float(value)] for name, value in (field_data or {}).items()}
     return {
-        "Points": points.astype(np.float32),
+        "Points": points.astype(np.float64),
         **_named("PointData", point_data, len(points)),
         **_named("CellData", cell_data, cells),
         **_named("FieldData", numbers, 1),
@@ -412,7 +429,7 @@ def _check_constant(root: h5py.Group, layout: _Layout, points: int) -> None:
     for name, array in root["PointData"].items():
         if len(array) != points:
             raise ValueError(f"{points} points, but {name!r} was created with {len(array)}")
-    largest = max(max(root[name]["Connectivity"], default=-1) for name in _CELLS)
+    largest = max(root[name]["Connectivity"][:].max(initial=-1) for name in _CELLS)
     if largest >= points:
         raise ValueError(f"{points} points, but the topology has a point {largest}")
 
@@ -451,7 +468,7 @@ def _rewrite(
     added: tuple[float, Mapping[str, np.ndarray]] | None = None,
 ) -> None:
     """Let a copy with room for `room` frames take the place of a file, with a frame added."""
-    with replacing(path) as temporary, _open(path, "r") as old, _open(temporary, "w") as new:
+    with replacing(path) as temporary, File(path, "r") as old, File(temporary, "w") as new:
         old.copy("meta", new)
         source, target = old["VTKHDF"], new.create_group("VTKHDF")
         target.attrs.update(source.attrs)
@@ -470,7 +487,7 @@ def _rewrite(
                 frame = slice(i * rows, (i + 1) * rows)
                 target[name][frame] = source[name][frame]
         if added is not None:
-            _write(target, *added)
+            _write(new, *added)
 
 
 def _make_room(root: h5py.Group, layout: _Layout, room: int, times: np.ndarray) -> None:

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
+from mrs.output.atomic import DamagedError, replacing
 from mrs.output.vtkhdf import Topology
 
 if TYPE_CHECKING:
@@ -44,6 +44,27 @@ def polydata(
     return mesh
 
 
+def write_xml(path: Path, data: pv.DataSet) -> None:
+    """Write a .vtp or .vti file, or what else VTK has a format for.
+
+    VTK makes the text and Python writes it: VTK's own writing ends in a crash on a full disk.
+
+    Parameters
+    ----------
+    path : Path
+    data : pyvista.DataSet
+    """
+    from vtkmodules.vtkIOXML import vtkXMLDataObjectWriter
+
+    writer = vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
+    writer.SetInputData(data)
+    writer.SetDataModeToBinary()
+    writer.WriteToOutputStringOn()
+    writer.Write()
+    with replacing(path) as temporary:
+        temporary.write_text(writer.GetOutputString(), encoding="utf-8")
+
+
 def write_pvd(path: Path, files: Sequence[tuple[float, str]]) -> None:
     """Write a list of files and their times, for ParaView.
 
@@ -68,11 +89,20 @@ def read_pvd(path: Path) -> list[tuple[float, str]]:
     Parameters
     ----------
     path : Path
+
+    Raises
+    ------
+    DamagedError
+        If it is cut short, or no such list.
     """
     if not path.exists():
         return []
-    entries = ElementTree.parse(path).iter("DataSet")
-    return [(float(entry.attrib["timestep"]), entry.attrib["file"]) for entry in entries]
+    try:
+        entries = ElementTree.parse(path).iter("DataSet")
+        return [(float(entry.attrib["timestep"]), entry.attrib["file"]) for entry in entries]
+    except (ElementTree.ParseError, KeyError, ValueError) as error:
+        reason = f"is cut short, damaged or no .pvd file ({error})"
+        raise DamagedError(path, reason) from None
 
 
 def _cells(cells: Sequence[ArrayLike]) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from types import ModuleType
 from typing import Any
 
@@ -40,10 +41,15 @@ class Walk:
         precision: str,
         progress: bool,
     ) -> None:
-        self.kernel, self._module, self._progress = kernel, module, progress
+        self.kernel, self._progress = kernel, progress
+        self._module_name = module.__name__  # modules cannot be pickled
         self.theta, self.degree, self.leaf_size = theta, degree, leaf_size
         self._dtype: Any = np.dtype(precision).type
         self._notes: np.ndarray | None = None
+
+    @property
+    def _module(self) -> Any:
+        return sys.modules[self._module_name]
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M); the arrays are kept, and permuted."""
@@ -100,6 +106,11 @@ class Walk:
                 threads(evaluate, batches, 1, progress=True)
             self._divide_walk(notes)
         return values
+
+    @property
+    def effort(self) -> float:
+        """What the last sum took, in pairs."""
+        return 0.0 if self._notes is None else float(self._notes[:, [NEAR_PAIRS, FAR_PAIRS]].sum())
 
     def info(self) -> dict[str, Any]:
         """Return parameters, the size of the tree, pairs of the last sum and bytes held."""

@@ -36,11 +36,16 @@ class Kernel(Protocol):
         Components of the linear weights w that `pair` takes.
     value_size : int
         Components of the sum.
+    value_lengths : tuple of `value_size` numbers
+        Equal for components of one unit, whose errors are measured together: with lengths L times
+        larger component i is ``L**value_lengths[i]`` times smaller, beside the others.
+        (1, 1, 1, 2, 2, 2) for velocities and angular velocities.
     """
 
     strength_size: int
     weight_size: int
     value_size: int
+    value_lengths: tuple[float, ...]
 
     def weights(self, q: tuple[float, ...]) -> tuple[float, ...]:
         """Turn one row of strengths into weights, constant factors included."""

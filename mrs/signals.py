@@ -1,0 +1,96 @@
+"""Signals that stop a run: ctrl-C, and those that batch queues and closed terminals send."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
+_STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
+CTRL_C = int(signal.SIGINT)
+_ONE_WISH = 1.0  # seconds in which several signals are one: a terminal and a parent send the same
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal has asked to stop."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(f"stopped by {signal.Signals(number).name}")
+        self.number = number
+
+
+class Stopping:
+    """What the signals do: raise `Stopped`, at once or when a file is written to its end.
+
+    `asked` is the first that came. What a handler raises can be lost (in a callback of the garbage
+    collector Python prints it and goes on), so whoever has time looks there as well.
+    """
+
+    def __init__(self) -> None:
+        self.asked: int | None = None
+        self._writing = self._held = False
+        self._last = -_ONE_WISH
+
+    def hold(self) -> None:
+        """Let no signal interrupt what follows."""
+        self._held = True
+
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Let the first signal wait for the end; a second one, a while later, does not."""
+        self._writing = True
+        try:
+            yield
+        finally:
+            self._writing = False
+        self.check()
+
+    def check(self) -> None:
+        """Raise `Stopped` if that was asked for."""
+        if self.asked is not None:
+            raise Stopped(self.asked)
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        """Handle a signal."""
+        first, now = self.asked is None, time.monotonic()
+        if first:
+            self.asked = number
+        if self._held:
+            os.write(2, b"\nstopping; the last files are being written\n")
+        elif first or now - self._last >= _ONE_WISH:
+            self._last = now
+            if not (first and self._writing):
+                raise Stopped(number)
+
+
+@contextmanager
+def stopping() -> Iterator[Stopping]:
+    """Let signals raise `Stopped` here instead of ending the process.
+
+    Handlers of the user's own, and signals that are ignored (nohup), are left alone, and so is
+    everything outside the main thread, where Python handles no signals. One that has not stopped
+    anything yet raises at the end, unless an error is on its way already.
+    """
+    handler = Stopping()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {n: old for n in _STOPPING if _is_default(old := signal.getsignal(n))}
+    try:
+        for number in before:
+            signal.signal(number, handler)
+        yield handler
+    finally:
+        handler.hold()
+        for number, old in before.items():
+            signal.signal(number, old)
+    handler.check()
+
+
+def _is_default(handler: object) -> bool:
+    ours = isinstance(handler, Stopping)
+    return ours or handler in (signal.SIG_DFL, signal.default_int_handler)

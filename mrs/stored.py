@@ -1,0 +1,227 @@
+"""Velocity of the fluid from stored frames: all that it depends on is in the files of a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mrs.flows import Flow, QuadraticFlow
+from mrs.mobility import Backend, Mobility
+from mrs.output import frames
+from mrs.output.vtkhdf import Trajectory
+
+_SAMPLE = 200  # targets, and points of each body, that errors are taken at
+_FLOW = ("constant", "gradient", "quadratic")  # what a QuadraticFlow is made of
+
+
+def fluid_meta(viscosity: float, background: Flow | None, tolerance: float) -> dict[str, Any]:
+    """Return what the files of a run say of its fluid.
+
+    Parameters
+    ----------
+    viscosity : float
+    background : Flow or None
+        A `QuadraticFlow` is kept by its numbers, any other by its name only.
+    tolerance : float
+        Of the run's sums.
+    """
+    meta: dict[str, Any] = {"viscosity": viscosity, "tolerance": tolerance}
+    if background is not None:
+        meta["background"] = type(background).__qualname__
+    if type(background) is QuadraticFlow:
+        meta |= {f"background {name}": getattr(background, name) for name in _FLOW}
+    return meta
+
+
+class FieldError(NamedTuple):
+    """How far a velocity that was computed from a frame may be off."""
+
+    sums: float
+    """Relative error, K eq. (8.1), of the sums at targets drawn at random."""
+    rounding: float
+    """Likewise, of what was rounded to single precision when it was stored."""
+    at_bodies: float
+    """Difference from the velocities stored with the frame: median over points of the bodies, in
+    root mean squares of these velocities; nan if the background is unknown."""
+
+
+class StoredFrame:
+    """A frame of a run, and the velocity of the fluid in it.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run.
+    frame : int, optional
+        Its number; negative ones count from the end.
+    background : Flow, optional
+        In place of one that the files only name.
+
+    Attributes
+    ----------
+    time : float
+    points : (N, 3) float64 ndarray
+        Of all bodies.
+    tolerance : float
+        Of the sums, that of the run.
+    unknown : str or None
+        Name of a background that neither the files nor the caller tell. Velocities are those of the
+        disturbance by the bodies then.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are no trajectories.
+    IndexError
+        If there is no such frame; the message names the files without it.
+    ValueError
+        If the files do not hold what the velocity depends on, as those of earlier versions.
+    """
+
+    def __init__(
+        self, directory: str | Path, frame: int = -1, background: Flow | None = None
+    ) -> None:
+        with frames.trajectories(directory) as bodies:
+            common = frames.Frames(bodies)
+            number = common.number(frame)
+            self.time = common.times[number]
+            places = common.places(number)
+            self._parts = [_part(body, i) for body, i in zip(bodies, places, strict=True)]
+            self._meta = meta = bodies[0].meta
+        self.points = np.concatenate([part.points for part in self._parts]).astype(np.float64)
+        self.tolerance: float = meta["tolerance"]
+        self.unknown: str | None = None
+        if background is None and f"background {_FLOW[0]}" in meta:
+            background = QuadraticFlow(**{name: meta[f"background {name}"] for name in _FLOW})
+        elif background is None:
+            self.unknown = meta.get("background")
+        self._background = background
+        self._sources = _sources(self._parts)
+        self._sums = self._mobility(self._sources, "auto")
+
+    def velocity(self, targets: np.ndarray) -> np.ndarray:
+        """Return the velocity of the fluid at points, (M, 3)."""
+        return self._at(targets, self._sources, self._sums)
+
+    def error(self, targets: np.ndarray, values: np.ndarray) -> FieldError:
+        """Return how far `values`, (M, 3), of `velocity` at targets, (M, 3), may be off."""
+        rng = np.random.default_rng(0)
+        drawn = _draw(len(targets), rng)
+        exact = self._directly(targets[drawn], self._sources)
+        unrounded = _sources(_perturbed(part, rng) for part in self._parts)
+        other = self._directly(targets[drawn], unrounded)
+        scale = np.linalg.norm(exact) or 1.0
+        return FieldError(
+            float(np.linalg.norm(values[drawn] - exact) / scale),
+            float(np.linalg.norm(other - exact) / scale),
+            np.nan if self.unknown else self._beside_stored(rng),
+        )
+
+    def _beside_stored(self, rng: np.random.Generator) -> float:
+        """Compare with the frame's own velocities. A median, since held nodes have others."""
+        points, stored = [], []
+        for part in self._parts:
+            drawn = _draw(len(part.points), rng)
+            points.append(part.points[drawn].astype(np.float64))
+            stored.append(part.velocity[drawn].astype(np.float64))
+        difference = self._directly(np.concatenate(points), self._sources) - np.concatenate(stored)
+        square = np.mean(np.sum(np.concatenate(stored) ** 2, axis=1))
+        return float(np.median(np.linalg.norm(difference, axis=1)) / (np.sqrt(square) or 1.0))
+
+    def _directly(self, targets: np.ndarray, sources: _Sources) -> np.ndarray:
+        return self._at(targets, sources, self._mobility(sources, "direct"))
+
+    def _at(self, targets: np.ndarray, sources: _Sources, sums: Mobility) -> np.ndarray:
+        values = sums.velocity(sources.points, sources.loads, targets)
+        if self._background is not None:
+            values += self._background.velocity(targets, self.time)
+        return values
+
+    def _mobility(self, sources: _Sources, backend: str) -> Mobility:
+        """Return the sums over the sources, which want no angular velocities."""
+        forced = np.ones(len(sources.points), bool)
+        return Mobility(
+            viscosity=self._meta["viscosity"],
+            epsilons=sources.epsilons,
+            forced=forced,
+            torqued=sources.torqued,
+            spinning=~forced,
+            bodies=np.zeros(len(forced), int),
+            backend=Backend(backend, tolerance=self.tolerance),
+        )
+
+
+class _Part(NamedTuple):
+    """What a frame holds of one body, with the types of its file."""
+
+    points: np.ndarray
+    velocity: np.ndarray
+    epsilon: np.ndarray | None
+    force: np.ndarray | None
+    torque: np.ndarray | None
+
+
+class _Sources(NamedTuple):
+    """All points with forces, in float64."""
+
+    points: np.ndarray
+    loads: np.ndarray
+    epsilons: np.ndarray
+    torqued: np.ndarray
+
+
+def _part(body: Trajectory, i: int) -> _Part:
+    data = body.point_data(i)
+    missing = {"velocity"} - set(data)
+    if "force" in data or "epsilon" in data:
+        missing |= {"force", "epsilon"} - set(data)
+    missing |= {"viscosity", "tolerance"} - set(body.meta)
+    if missing:
+        raise ValueError(
+            f"{body.path} lacks {', '.join(sorted(missing))}, on which the velocity of the fluid "
+            "depends: files of earlier versions do; run it again, or build the simulation in "
+            "Python and take mrs.restart(sim).velocity(points)"
+        )
+    loads = {name: data.get(name) for name in ("epsilon", "force", "torque")}
+    return _Part(body.points(i), data["velocity"], **loads)
+
+
+def _sources(parts: Iterable[_Part]) -> _Sources:
+    """Return the points with forces of all parts."""
+    points, loads, epsilons, torqued = [np.empty((0, 3))], [np.empty((0, 6))], [], []
+    for part in parts:
+        if part.epsilon is not None and part.force is not None:
+            torque = np.zeros_like(part.force) if part.torque is None else part.torque
+            points.append(part.points)
+            loads.append(np.hstack([part.force, torque]))
+            epsilons.append(part.epsilon)
+            torqued.append(np.full(len(part.points), part.torque is not None))
+    return _Sources(
+        np.concatenate(points).astype(np.float64),
+        np.concatenate(loads).astype(np.float64),
+        np.concatenate([[], *epsilons]).astype(np.float64),
+        np.concatenate([[], *torqued]).astype(bool),
+    )
+
+
+def _perturbed(part: _Part, rng: np.random.Generator) -> _Part:
+    """Return a part as it may have been before it was stored."""
+    values = {k: _unrounded(v, rng) for k, v in part._asdict().items() if v is not None}
+    if part.epsilon is not None:  # equal ones stay equal
+        sizes, index = np.unique(part.epsilon, return_inverse=True)
+        values["epsilon"] = _unrounded(sizes, rng)[index]
+    return part._replace(**values)
+
+
+def _unrounded(values: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return numbers that singles stand for; doubles as they are."""
+    if values.dtype != np.float32:
+        return values
+    return values + rng.uniform(-0.5, 0.5, values.shape) * np.spacing(np.abs(values))
+
+
+def _draw(count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.choice(count, min(count, _SAMPLE), replace=False)
