@@ -1,9 +1,11 @@
 """Errors achieved beside those asked for, of random sums: the cases of tests/test_tolerance.py.
 
     python -m benchmarks.tolerance [--cases 500] [--largest 200000] [--output FILE]
+    python -m benchmarks.tolerance --apart [--cases 100] [--largest 20000] [--output FILE]
 
-Every case is kept in --rows, so that the command goes on where it ended. Each processor has a case
-at a time, on one thread.
+The second is of targets apart from their sources, the cases of tests/apart.py. Every case is kept
+in --rows, so that the command goes on where it ended. Each processor has a case at a time, on one
+thread.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from tqdm import tqdm
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
+import apart
 import test_tolerance
 
 from benchmarks.machine import machine_today, publish
@@ -37,6 +40,13 @@ CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "done by": lambda row: row["choice"].partition("(")[0],
 }
 
+APART: dict[str, Callable[[dict[str, Any]], str]] = {
+    **{name: CLASSES[name] for name in ("kernel", "points", "strengths", "asked", "done by")},
+    "targets": lambda row: row["place"],
+    "groups": lambda row: "two" if row["grouped"] else "one",
+    "backend": lambda row: row["backend"],
+}
+
 
 def solve(seed: int, largest: int) -> dict[str, Any]:
     """Return one case, what was chosen for it, and the error."""
@@ -48,10 +58,22 @@ def solve(seed: int, largest: int) -> dict[str, Any]:
     return case._asdict() | {"choice": str(plan.choice), "error": error, "seconds": seconds}
 
 
-def table(rows: list[dict[str, Any]]) -> list[str]:
+def solve_apart(seed: int, largest: int) -> dict[str, Any]:
+    """Return one case of targets apart, what was chosen for it, and the error."""
+    numba.set_num_threads(1)
+    case = apart.Apart.draw(seed, 1000, largest)
+    start = time.perf_counter()
+    error, choice = apart.solve(case)
+    seconds = time.perf_counter() - start
+    return case._asdict() | {"choice": choice, "error": error, "seconds": seconds}
+
+
+def table(
+    rows: list[dict[str, Any]], classes: dict[str, Callable[[dict[str, Any]], str]]
+) -> list[str]:
     """Return the lines of the table."""
     lines = ["| class | | cases | within | largest error / asked | median |", "|---" * 6 + "|"]
-    for title, classify in {"all": lambda row: "", **CLASSES}.items():
+    for title, classify in {"all": lambda row: "", **classes}.items():
         for name in sorted({classify(row) for row in rows}):
             ratios = [row["error"] / row["tol"] for row in rows if classify(row) == name]
             within = np.mean(np.array(ratios) <= 1.0)
@@ -62,35 +84,57 @@ def table(rows: list[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--cases", type=int, default=500)
-    parser.add_argument("--largest", type=int, default=200_000, help="number of points")
-    parser.add_argument("--rows", type=Path, default=Path("outputs/tolerance.jsonl"))
-    parser.add_argument("--output", type=Path, help="a file; the terminal by default")
-    options = parser.parse_args()
-    kept = options.rows.read_text().splitlines() if options.rows.exists() else []
-    rows = {row["seed"]: row for row in map(json.loads, kept)}
-    missing = [seed for seed in range(options.cases) if seed not in rows]
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        solved = [pool.submit(solve, seed, options.largest) for seed in missing]
-        for future in tqdm(as_completed(solved), total=len(missing), unit="case"):
-            row = future.result()
-            rows[row["seed"]] = row
-            with options.rows.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-            if row["error"] > row["tol"]:
-                print(row, file=sys.stderr, flush=True)
-    lines = [
+def about(count: int, largest: int) -> list[str]:
+    return [
         "# Asked and achieved errors\n",
-        f"{len(rows)} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",
-        f"{options.largest} points, strengths that are random, without a net force, or pairs that",
+        f"{count} random sums by `Plan(kernel, tol=...)`: kernels, sets of 10 to",
+        f"{largest} points, strengths that are random, without a net force, or pairs that",
         "push against each other, and tolerances from 1e-10 to 1e-2. Errors, K eq. (8.1), by the",
         "oracle of the tests or, where that is too slow, by direct sums at 2000 targets, over the",
         "norm of all values.\n",
-        machine_today() + ".\n",
-        *table(list(rows.values())),
     ]
+
+
+def about_apart(count: int, largest: int) -> list[str]:
+    return [
+        "# Asked and achieved errors at targets apart from the sources\n",
+        f"{count} random sums of 1000 to {largest} sources at 100 to 1000 targets: among the",
+        "sources, and 1, 30 and 10,000 of their widths away; half of them with two groups, of",
+        "which one stays among the sources. By `Plan(kernel, tol=...)` and by",
+        '`Plan(kernel, "fmm", tol=...)`. Errors, K eq. (8.1), are the largest of groups and of',
+        "velocities and angular velocities, by the oracle of the tests or, where that is too slow,",
+        "by direct sums. What ends in `ToleranceError` counts as kept, and is done by 'refused'.\n",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--apart", action="store_true", help="targets apart from the sources")
+    parser.add_argument("--cases", type=int)
+    parser.add_argument("--largest", type=int, help="number of points")
+    parser.add_argument("--rows", type=Path)
+    parser.add_argument("--output", type=Path, help="a file; the terminal by default")
+    options = parser.parse_args()
+    count = options.cases or (100 if options.apart else 500)
+    largest = options.largest or (20_000 if options.apart else 200_000)
+    name = "tolerance-apart" if options.apart else "tolerance"
+    path = options.rows or Path(f"outputs/{name}.jsonl")
+    kept = path.read_text().splitlines() if path.exists() else []
+    rows = {row["seed"]: row for row in map(json.loads, kept)}
+    missing = [seed for seed in range(count) if seed not in rows]
+    one = solve_apart if options.apart else solve
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+        solved = [pool.submit(one, seed, largest) for seed in missing]
+        for future in tqdm(as_completed(solved), total=len(missing), unit="case"):
+            row = future.result()
+            rows[row["seed"]] = row
+            with path.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+            if row["error"] > row["tol"]:
+                print(row, file=sys.stderr, flush=True)
+    head = about_apart(len(rows), largest) if options.apart else about(len(rows), largest)
+    classes = APART if options.apart else CLASSES
+    lines = [*head, machine_today() + ".\n", *table(list(rows.values()), classes)]
     publish(lines, options.output)
 
 

@@ -12,7 +12,16 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from treecode.check import LARGEST_COORDINATE, integer, number, one_of, points, positive, rows
+from treecode.check import (
+    LARGEST_COORDINATE,
+    integer,
+    number,
+    one_of,
+    points,
+    positive,
+    rows,
+    unmasked,
+)
 
 __all__ = [
     "FunctionError",
@@ -36,6 +45,7 @@ __all__ = [
     "rows",
     "shaped",
     "spelling",
+    "unmasked",
     "vector",
     "vectors",
 ]
@@ -57,8 +67,7 @@ _short.maxstring = _short.maxother = 80
 
 def real(name: str, value: Any) -> np.ndarray:
     """Return `value` as an array of real numbers, none of them masked."""
-    if np.ma.is_masked(value):
-        raise ValueError(f"{name} must not have masked entries")
+    unmasked(name, value)
     try:
         array = np.asarray(value)
     except ValueError:  # ragged

@@ -10,8 +10,12 @@ import numpy as np
 
 import treecode as tc
 from mrs import check
+from treecode.accuracy import Parts
 
 BACKENDS = ("auto", "direct", "kitc", "taylor", "fmm")
+_KINDS: tuple[Any, ...] = tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet  # without, with
+_SAMPLES = 1000  # points at which errors are sampled for the log
+_LEAST_TOLERANCE = 2e-13  # that can be asked of a sum
 
 
 @check.spelling
@@ -26,9 +30,10 @@ class Backend:
     theta, degree, leaf_size : optional
         Of treecodes, as in `treecode.Plan`; by default what suits `tolerance`.
     tolerance : float, optional
-        Relative error (K eq. 8.1) of each sum, of velocities and of angular velocities. It is met
-        at the first sum of a simulation and sampled again now and then; the aim of "fmm". A given
-        `degree` stands in its place.
+        Relative error in the Euclidean norm (K eq. 8.1), of the velocities of each body, and of
+        its angular velocities. It is met at the first evaluation of a simulation, looked at
+        in every longer sum, and sampled again now and then. A given `degree` stands in its place;
+        of "fmm" both can be given, and `tolerance` is then what it aims at.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -42,30 +47,42 @@ class Backend:
     def __post_init__(self) -> None:
         check.one_of("name", self.name, BACKENDS)
         check.number("tolerance", self.tolerance, 1e-12, 1.0)
-        self.plan(tc.RegularizedStokeslet(epsilon=1.0))  # refuses the rest
+        tc.Plan(_KINDS[0](epsilon=1.0), **self.options(self.tolerance))  # refuses the rest
 
-    def plan(self, kernel: tc.Kernel) -> tc.Plan:
-        """Return an empty plan."""
-        return tc.Plan(
-            kernel,
-            self.name,
-            theta=self.theta,
-            degree=self.degree,
-            leaf_size=self.leaf_size,
-            tol=self.tolerance if self.degree is None or self.name == "fmm" else None,
-        )
+    def options(self, tolerance: float) -> dict[str, Any]:
+        """Return those of a sum; the tolerance is this one."""
+        return {
+            "backend": self.name,
+            "theta": self.theta,
+            "degree": self.degree,
+            "leaf_size": self.leaf_size,
+            "tol": tolerance if self.degree is None or self.name == "fmm" else None,
+        }
 
 
 class _Sum:
     """One fast sum: sources of one blob size, all with torques or all without, to some targets."""
 
     def __init__(
-        self, kernel: tc.Kernel, sources: np.ndarray, targets: np.ndarray, backend: Backend
+        self,
+        kernel: tc.Kernel,
+        sources: np.ndarray,
+        targets: np.ndarray,
+        bodies: np.ndarray,
+        backend: Backend,
     ) -> None:
         self.kernel, self.sources, self.targets = kernel, sources, targets
         self.same = np.array_equal(sources, targets)
-        self.plan = backend.plan(kernel)
-        self._falls_back = backend.name == "auto"
+        own = bodies[targets]
+        self._groups = own if (own != own[0]).any() else None
+        self._backend = backend
+        self.begin(None)
+
+    def begin(self, choice: tc.Choice | None) -> None:
+        """Sum by a choice from now on, or choose anew."""
+        self.plan = tc.Plan(self.kernel, **self._backend.options(self._backend.tolerance))
+        if choice is not None:
+            self.plan.use(choice)
 
     def strengths(self, loads: np.ndarray) -> np.ndarray:
         """Return the part of the loads, (N, 6), that the kernel takes."""
@@ -75,31 +92,25 @@ class _Sum:
         self._place(points)
         try:
             return self.plan.execute(self.strengths(loads))
-        except tc.ToleranceError as error:
-            self._fall_back(points, error)
+        except tc.CancellationError:
+            self._sum_directly(points)
             return self.plan.execute(self.strengths(loads))
 
-    def refine(self, points: np.ndarray, loads: np.ndarray) -> bool:
-        """Sample the error; return whether another way to sum was chosen for it."""
-        self._place(points)
+    def refine(
+        self, points: np.ndarray, loads: np.ndarray, tolerance: float, values: np.ndarray
+    ) -> None:
+        """Sample the error of the last sum, and choose another way to sum if it is too large."""
         try:
-            return self.plan.refine(self.strengths(loads))
-        except tc.ToleranceError as error:
-            self._fall_back(points, error)
-            return True
-
-    def error(self, points: np.ndarray, loads: np.ndarray) -> float:
-        """Return the relative error at randomly drawn targets."""
-        self._place(points)
-        return self.plan.estimate_error(self.strengths(loads), by_unit=True)
+            self.plan.refine(self.strengths(loads), tolerance, values)
+        except tc.CancellationError:
+            self._sum_directly(points)
 
     def _place(self, points: np.ndarray) -> None:
-        self.plan.set_points(points[self.sources], None if self.same else points[self.targets])
+        targets = None if self.same else points[self.targets]
+        self.plan.set_points(points[self.sources], targets, self._groups)
 
-    def _fall_back(self, points: np.ndarray, error: tc.ToleranceError) -> None:
-        """Sum directly: bodies at rest have loads, and sums, that are nothing but rounding."""
-        if not self._falls_back:
-            raise error
+    def _sum_directly(self, points: np.ndarray) -> None:
+        """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""
         self.plan.use(tc.Choice("direct"))
         self._place(points)
 
@@ -119,8 +130,15 @@ class Mobility:
     forced, torqued, spinning : (N,) bool ndarray
         Whether there is a force, and a torque, at a point, and whether its angular velocity is
         wanted.
+    bodies : (N,) int ndarray
+        The body of each point: what its motion is, and not only that of all, is within tolerance.
     backend : Backend
         For each sum.
+
+    Attributes
+    ----------
+    lock : treecode.Lock
+        Held by whoever uses this, and what belongs to it.
     """
 
     def __init__(
@@ -130,23 +148,31 @@ class Mobility:
         forced: np.ndarray,
         torqued: np.ndarray,
         spinning: np.ndarray,
+        bodies: np.ndarray,
         backend: Backend,
     ) -> None:
         self.backend = backend
+        self.lock = tc.Lock()
         self.evaluations = 0
         self.seconds = 0.0
-        self._sums = []
+        self._bodies, self._spinning = bodies, spinning
+        self._sums: list[_Sum] = []
+        self._sources: list[tuple[tc.Kernel, np.ndarray]] = []
+        # Bodies without forces are apart: among the sources they would hardly count.
+        together = np.where(forced, -1, bodies)
         for epsilon in np.unique(epsilons[forced]):
             for torque in (False, True):
                 sources = np.flatnonzero(forced & (epsilons == epsilon) & (torqued == torque))
-                for spin in (False, True) if not torque else (None,):
-                    wanted = np.ones_like(spinning) if spin is None else spinning == spin
-                    targets = np.flatnonzero(wanted)
-                    if len(sources) and len(targets):
-                        rotlet = torque or spin
-                        kind = tc.RegularizedStokesletRotlet if rotlet else tc.RegularizedStokeslet
-                        kernel = kind(float(epsilon), viscosity)
-                        self._sums.append(_Sum(kernel, sources, targets, backend))
+                if not len(sources):
+                    continue
+                kernels = [kind(float(epsilon), viscosity) for kind in _KINDS]
+                self._sources.append((kernels[torque], sources))
+                rotlet = spinning | torque
+                for body in np.unique(together):
+                    for spin in np.unique(rotlet[together == body]):
+                        targets = np.flatnonzero((together == body) & (rotlet == spin))
+                        kernel = kernels[int(spin)]
+                        self._sums.append(_Sum(kernel, sources, targets, bodies, backend))
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
@@ -154,26 +180,84 @@ class Mobility:
         Both are (N, 3) where there are neither torques nor angular velocities. The latter mean
         nothing at points that do not want them.
         """
-        values = np.zeros_like(loads)
         start = time.perf_counter()
-        for term in self._sums:
-            out = term(points, loads)
-            values[term.targets, : out.shape[1]] += out
+        values = self._total(loads, self._outs(points, loads))
         self.seconds += time.perf_counter() - start
         self.evaluations += 1
         return values
 
-    def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Return the velocity, (M, 3), at any targets, (M, 3)."""
-        values = np.zeros_like(targets)
-        groups = {term.sources[0]: term for term in self._sums}
-        for term in groups.values():
-            plan = tc.Plan(term.kernel, "direct")
-            if term.plan.choice is not None:
-                plan.use(term.plan.choice)
-            out = plan.set_points(points[term.sources], targets).execute(term.strengths(loads))
-            values += out[:, :3]
+    def _outs(self, points: np.ndarray, loads: np.ndarray) -> list[np.ndarray]:
+        """Return what each sum gives; if one was chosen for it, such that they do together."""
+        undecided = [term.plan.choice is None for term in self._sums]
+        outs = [term(points, loads) for term in self._sums]
+        if len(outs) == 1 or not any(
+            new and term.plan.choice for new, term in zip(undecided, self._sums, strict=True)
+        ):
+            return outs
+        for k, tolerance in enumerate(self._needed(loads, outs)):
+            if tolerance < self.backend.tolerance:  # it was sampled for that
+                before = self._sums[k].plan.choice
+                self._sums[k].refine(points, loads, tolerance, outs[k])
+                if self._sums[k].plan.choice != before:
+                    outs[k] = self._sums[k](points, loads)
+        return outs
+
+    def _total(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
+        values = np.zeros_like(loads)
+        for term, out in zip(self._sums, outs, strict=True):
+            values[term.targets, : out.shape[1]] += out
         return values
+
+    def _needed(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
+        """Return the tolerance with which each sum leaves their total within that of the backend.
+
+        For each body: bodies of two blob sizes, or with and without torques, may cancel.
+        """
+        total = self._squares(self._total(loads, outs))
+        terms = [
+            self._squares(out, term.targets) for term, out in zip(self._sums, outs, strict=True)
+        ]
+        return _shares(self.backend.tolerance, np.array(terms), total)
+
+    def _squares(self, values: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
+        """Return the squares of the norms, by body, of velocities and of wanted spins."""
+        bodies, spinning = self._bodies[rows], self._spinning[rows]
+        count = self._bodies.max() + 1
+        velocities = np.bincount(bodies, (values[:, :3] ** 2).sum(axis=1), count)
+        spins = np.bincount(bodies, (values[:, 3:] ** 2).sum(axis=1) * spinning, count)
+        return np.append(velocities, spins)
+
+    def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Return the velocity, (M, 3), at any targets, (M, 3).
+
+        The sums are chosen, and their errors sampled, for these targets; by a `degree` they are
+        done as it says. Where contributions cancel to little more than the rounding of doubles,
+        they are direct ones, of which nothing is more accurate, whatever their error.
+        """
+        tolerance, flow = self.backend.tolerance, (points, loads, targets)
+        outs = [self._velocity_once(flow, *term, tolerance) for term in self._sources]
+        if len(outs) > 1 and self.backend.degree is None:
+            squares = np.array([[np.vdot(out, out)] for out in outs])
+            total = np.sum(outs, axis=0)
+            shares = _shares(tolerance, squares, np.array([np.vdot(total, total)]))
+            for k, share in enumerate(shares):
+                if share < tolerance:
+                    outs[k] = self._velocity_once(flow, *self._sources[k], share)
+        return sum(outs, np.zeros_like(targets))
+
+    def _velocity_once(
+        self,
+        flow: tuple[np.ndarray, np.ndarray, np.ndarray],
+        kernel: tc.Kernel,
+        sources: np.ndarray,
+        tolerance: float,
+    ) -> np.ndarray:
+        points, loads, targets = flow
+        arguments = kernel, points[sources], loads[sources, : kernel.strength_size], targets
+        try:
+            return tc.evaluate(*arguments, **self.backend.options(tolerance))[:, :3]
+        except tc.CancellationError:
+            return tc.evaluate(*arguments, backend="direct")[:, :3]
 
     @property
     def pairs(self) -> int:
@@ -198,15 +282,63 @@ class Mobility:
 
     def restore(self, history: list[dict[str, Any] | None]) -> None:
         """Use earlier choices again: a run that is resumed must not choose by another state."""
+        if len(history) != len(self._sums):
+            raise ValueError(
+                f"checkpoint: {len(history)} sums, those of the scene are {len(self._sums)}"
+            )
         for term, choice in zip(self._sums, history, strict=True):
-            if choice is not None:
-                term.plan.use(tc.Choice(**choice))
+            term.begin(None if choice is None else tc.Choice(**choice))
 
     def sampled_error(self, points: np.ndarray, loads: np.ndarray) -> float:
-        """Return the largest relative error of the sums at randomly drawn targets."""
-        return max((term.error(points, loads) for term in self._sums), default=0.0)
+        """Return the relative error at randomly drawn points of each body, the largest.
+
+        Of the velocities and of the angular velocities that are wanted.
+        """
+        if not self._sums:
+            return 0.0
+        wanted = np.ones_like(loads)
+        wanted[~self._spinning, 3:] = 0.0
+        outs = [term(points, loads) for term in self._sums]
+        values = wanted * self._total(loads, outs)
+
+        def exact_at(rows: np.ndarray) -> np.ndarray:
+            exact = np.zeros((len(rows), loads.shape[1]))
+            for term in self._sums:
+                own = np.isin(rows, term.targets)
+                strengths = term.strengths(loads)
+                some = points[term.sources], strengths, points[rows[own]]
+                out = tc.evaluate(term.kernel, *some, backend="direct")
+                exact[own, : out.shape[1]] += out
+            return wanted[rows] * exact
+
+        kernel = _KINDS[loads.shape[1] == 6]
+        parts = Parts.of(kernel, len(points), self._bodies)
+        return parts.sampled_error(values, exact_at, _SAMPLES).by_unit
 
     def correct(self, points: np.ndarray, loads: np.ndarray) -> bool:
         """Choose anew where a sum does not reach its tolerance any more; return if so."""
-        refined = [term.refine(points, loads) for term in self._sums]  # all of them
-        return any(refined)
+        before = self.choices
+        outs = [term(points, loads) for term in self._sums]
+        needed = self._needed(loads, outs) if len(outs) > 1 else [self.backend.tolerance]
+        for term, tolerance, out in zip(self._sums, needed, outs, strict=False):
+            term.refine(points, loads, tolerance, out)
+        return self.choices != before
+
+
+def _shares(tolerance: float, terms: np.ndarray, total: np.ndarray) -> np.ndarray:
+    """Return what relative error each of some sums may have, and not more than `tolerance`.
+
+    Their errors are independent and add up in squares: the total is then within tolerance.
+
+    Parameters
+    ----------
+    tolerance : float
+    terms : (sums, parts) ndarray
+        Squares of the norms of parts of each sum.
+    total : (parts,) ndarray
+        Those of all together.
+    """
+    count = np.count_nonzero(terms, axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.sqrt(np.where(terms > 0.0, total / (count * terms), 1.0))
+    return np.clip(tolerance * share.min(axis=1), _LEAST_TOLERANCE, tolerance)

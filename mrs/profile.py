@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
@@ -56,10 +57,15 @@ class Profile:
         self.pairs: defaultdict[str, int] = defaultdict(int)
         self._open: list[str] = []
         self._noted = 0.0
+        self._thread = 0  # that opened the outermost stage
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Count what is done inside as one stage."""
+        if self._elsewhere():
+            yield
+            return
+        self._thread = threading.get_ident()
         self._note()
         self._open.append(name)
         try:
@@ -70,12 +76,18 @@ class Profile:
 
     def divide(self, seconds: Mapping[str, float], near: int, far: int) -> None:
         """Give parts of the time of the innermost stage, measured there, to others; count pairs."""
+        if self._elsewhere():
+            return
         self._note()
         for name, part in seconds.items():
             self.seconds[name] += part
             self.seconds[self._open[-1]] -= part
         self.pairs["near"] += near
         self.pairs["far"] += far
+
+    def _elsewhere(self) -> bool:
+        """Tell whether another thread has stages open."""
+        return bool(self._open) and self._thread != threading.get_ident()
 
     def _note(self) -> None:
         """Give the time since the last note to the innermost stage."""

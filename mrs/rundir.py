@@ -135,7 +135,21 @@ def note(directory: str | os.PathLike[str], *files: str | Path) -> None:
             lines.write(start + "".join(f"{name}\n" for name in names))
 
 
-def noted(directory: str | Path) -> list[Path]:
+def note_made(directory: str | os.PathLike[str], *files: str | Path) -> None:
+    """Note files that are made of a run, if the directory lists the files of one.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run.
+    *files : path
+        As for `note`.
+    """
+    if noted(directory):
+        note(directory, *files)
+
+
+def noted(directory: str | os.PathLike[str]) -> list[Path]:
     """Return the files that are noted as the run's own, whether they are there or not."""
     directory = Path(directory)
     listing = directory / _FILES

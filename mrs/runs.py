@@ -288,7 +288,7 @@ def write_field(
     folder = Path(directory if destination is None else destination)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in ("field.vti", "streamlines.vtp")]
-    rundir.note(directory, *paths)
+    rundir.note_made(directory, *paths)
     name = "disturbance" if stored.unknown else "velocity"
     numbers = {"time": stored.time} | {f"error_{k}": v for k, v in error._asdict().items()}
     field.write_field(paths[0], grid, {name: values}, numbers)

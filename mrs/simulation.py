@@ -209,6 +209,7 @@ class Simulation:
         forced = at_points(body.has_force for body in self.bodies)
         torqued = at_points(body.has_torque for body in self.bodies)
         spinning = at_points(body.has_spin for body in self.bodies)
+        numbers = at_points(range(len(self.bodies)))
         self._width = 6 if torqued.any() or spinning.any() else 3
         background = self.fluid.background
         if background is not None and spinning.any() and not hasattr(background, "vorticity"):
@@ -217,7 +218,7 @@ class Simulation:
             [self._blob_sizes(body, size) for body, size in zip(self.bodies, sizes, strict=True)]
         )
         self.mobility = Mobility(
-            self.fluid.viscosity, epsilons, forced, torqued, spinning, self.backend
+            self.fluid.viscosity, epsilons, forced, torqued, spinning, numbers, self.backend
         )
         self._scale(epsilons[forced])
         self._label(forced)
@@ -263,12 +264,12 @@ class Simulation:
 
     def evaluate(self, time: float, state: State) -> Evaluation:
         """Return forces and motion in a state; the last answer is kept."""
-        last = self._evaluation
-        if last is None or last.time != time or not last.state.equals(state):
-            with self.profile.stage("forces"):
-                self._evaluation = self._evaluate(time, state)
-        assert self._evaluation is not None
-        return self._evaluation
+        with self.mobility.lock:
+            last = self._evaluation
+            if last is None or last.time != time or not last.state.equals(state):
+                with self.profile.stage("forces"):
+                    last = self._evaluation = self._evaluate(time, state)
+            return last
 
     def rates(self, time: float, state: State) -> np.ndarray:
         """Return velocities and angular velocities of the coordinates, (P + Q, 3)."""
@@ -369,6 +370,9 @@ class Simulation:
     ) -> np.ndarray:
         """Return the velocity of the fluid at points, (N, 3).
 
+        Its relative error over these points is that of the backend's tolerance, of what bodies do
+        to them; see `Mobility.velocity`.
+
         Parameters
         ----------
         points : (N, 3) array_like
@@ -380,7 +384,8 @@ class Simulation:
         if sources is None or loads is None or time is None:
             now = self.evaluate(self.time, self.state)
             time, sources, loads = now.time, now.points, now.loads
-        velocity = self.mobility.velocity(sources, loads[:, : self._width], points)
+        with self.mobility.lock:
+            velocity = self.mobility.velocity(sources, loads[:, : self._width], points)
         if self.fluid.background is not None:
             velocity += self.fluid.flow("velocity", points, time)
         return velocity
@@ -486,7 +491,11 @@ class Simulation:
         SimulationError
             If the state would not be finite; it is left as it was.
         """
-        before = self.stepper.history()
+        with self.mobility.lock:
+            self._step(stop)
+
+    def _step(self, stop: float) -> None:
+        before, backends = self.stepper.history(), self.mobility.history()
         try:
             steps = self.stepper.steps
             if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
@@ -498,6 +507,9 @@ class Simulation:
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = self._explained(error)
             self.stepper.restore(*before)
+            if self.mobility.history() != backends:
+                self.mobility.restore(backends)
+                self._evaluation = None
             raise told from None
         self.time, self.state = time, state
 

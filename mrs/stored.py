@@ -149,6 +149,7 @@ class StoredFrame:
             forced=forced,
             torqued=sources.torqued,
             spinning=~forced,
+            bodies=np.zeros(len(forced), int),
             backend=Backend(backend, tolerance=self.tolerance),
         )
 

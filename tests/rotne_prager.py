@@ -15,6 +15,7 @@ class RotnePrager(NamedTuple):
     strength_size = 3
     weight_size = 3
     value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         s = 1.0 / (8.0 * math.pi * self.viscosity)

@@ -52,14 +52,14 @@ def test_pair_loop_is_packed(kernel, tmp_path):
 COUNT = """
 import sys, time
 import numpy as np, treecode as tc
-from treecode.traversal import evaluate_batches, load_weights
+from treecode.traversal import evaluate_batches, write_weights
 from treecode.tree import _build
 from treecode.upward import _fill
 kernel = tc.RegularizedStokeslet(epsilon=0.1)
 points = np.random.default_rng(0).random((100, 3))
 for backend in ("direct", "kitc", "taylor"):
     tc.evaluate(kernel, points, points, backend=backend, degree=2, leaf_size=9)
-drivers = [d.dispatcher(type(kernel)) for d in (evaluate_batches, load_weights)]
+drivers = [d.dispatcher(type(kernel)) for d in (evaluate_batches, write_weights)]
 for dispatcher in (*drivers, _build, _fill):
     stats = dispatcher.stats
     print(sum(stats.cache_hits.values()), sum(stats.cache_misses.values()))
@@ -100,6 +100,7 @@ class Constant(NamedTuple):
     strength_size = 1
     weight_size = 1
     value_size = 1
+    value_lengths = (0,)
     def weights(self, q):
         return q
     def pair(self, dx, dy, dz, w, acc):

@@ -18,7 +18,7 @@ def resistance(points, epsilon, velocity):
     """
     n = len(points)
     no = np.zeros(n, bool)
-    mobility = Mobility(1.0, np.full(n, epsilon), ~no, no, no, Backend("direct"))
+    mobility = Mobility(1.0, np.full(n, epsilon), ~no, no, no, no.astype(int), Backend("direct"))
     matrix = LinearOperator(
         (3 * n, 3 * n), lambda f: mobility(points, f.reshape(n, 3)).ravel(), dtype=float
     )

@@ -1,6 +1,9 @@
 """Velocity on a grid from the files of a run alone, its error, and streamlines through it."""
 
+import re
 import shutil
+import subprocess
+import sys
 
 import h5py
 import numpy as np
@@ -12,6 +15,8 @@ import oracle
 import treecode as tc
 from mrs import cli, runs
 from mrs.output import field, vtkhdf
+from mrs.output.export import FORMATS, export
+from mrs.output.render import render
 from mrs.output.vtkhdf import Topology, Trajectory
 from mrs.stored import StoredFrame
 
@@ -131,6 +136,7 @@ def test_far_from_the_origin(tmp_path, away):
     kernel = tc.RegularizedStokeslet(0.02, 1.0)
     exact = oracle.exact(kernel, now.points, now.loads, targets).astype(float)
     actual, told = error_of(values, exact), stored.error(targets, values)
+    assert actual < 1e-6
     assert 0.2 < actual / told.rounding < 2.0  # forces of a swimmer are rounded alike
 
 
@@ -396,6 +402,40 @@ def test_a_run_elsewhere(tmp_path):
     for path in (tmp_path / "run").glob("*.vtkhdf"):
         shutil.copy(path, tmp_path / "files")
     assert runs.write_field(tmp_path / "files", resolution=5).time == 0.03
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no limit of the size of files there")
+@pytest.mark.parametrize("command", ["field", *(f"export {name}" for name in FORMATS)])
+def test_no_room_on_the_disk(tmp_path, command):
+    """Said by an error that names the file, and nothing is left of it; VTK and HDF5 would crash."""
+    script(tmp_path / "run")
+    code = (
+        "import resource, sys; import numpy as np; from mrs import cli, stored; "
+        "stored.StoredFrame(sys.argv[2]).velocity(np.eye(3)); "  # compiled while there is room
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); sys.exit(cli.main(sys.argv[1:]))"
+    )
+    name, *suffix = command.split()
+    options = ["--output", str(tmp_path / "new"), *(["--format", *suffix] if suffix else [])]
+    arguments = [sys.executable, "-c", code, name, str(tmp_path / "run"), *options]
+    done = subprocess.run(arguments, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert re.search(r"^mrs: .*/new/.* could not be written", done.stderr, re.M)
+    assert list((tmp_path / "new").iterdir()) == []
+
+
+def test_what_is_made_of_a_run_goes_with_it(tmp_path):
+    """Pictures, fields and frames of the run before; files of one's own stay."""
+    script(tmp_path)
+    foreign = [tmp_path / "mine.vtkhdf", tmp_path / "vtu" / "mine.vtu", tmp_path / "mine.png"]
+    foreign[1].parent.mkdir()
+    for path in foreign:
+        path.write_text("mine")
+    made = [render(tmp_path, tmp_path / f"a.{suffix}", size=(64, 64)) for suffix in ("png", "gif")]
+    made += [*export(tmp_path, "vtu"), *runs.write_field(tmp_path, resolution=5).paths]
+    assert all(path.exists() for path in made)
+    script(tmp_path, overwrite=True)
+    assert not [path for path in made if path.exists()]
+    assert [path.read_text() for path in foreign] == ["mine"] * 3
 
 
 def test_points_without_forces_and_without_meta(tmp_path):

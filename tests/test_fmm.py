@@ -197,6 +197,7 @@ class Chiral(NamedTuple):
     """Not its own mirror image: force to velocity along it and across it."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q
@@ -220,6 +221,7 @@ class Uneven(NamedTuple):
     """Lengths along x count for more: only y and z may change places."""
 
     strength_size = weight_size = value_size = 3
+    value_lengths = (1, 1, 1)
 
     def weights(self, q):
         return q
@@ -350,8 +352,7 @@ def test_memory_is_foreseen(monkeypatch, tol):
 
     def allowed(room):
         least = held * (1.0 + multipole._BUILDING / sizes) / multipole._MEMORY
-        machine = NamedTuple("machine", [("total", float)])(room * least)
-        monkeypatch.setattr(multipole.psutil, "virtual_memory", lambda: machine)
+        monkeypatch.setattr(multipole, "memory_limit", lambda: room * least)
         return tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points
 
     allowed(3.0)(points)

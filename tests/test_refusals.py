@@ -52,7 +52,7 @@ CALLS = [
     ],
     *[
         (name, value, words)
-        for name in ("sources", "targets")
+        for name in ("points", "targets")
         for value, words in [
             (POINTS[0], ["(N, 3)", "(3,)"]),
             (POINTS[:, :2], ["(N, 3)", "(5, 2)"]),
@@ -74,7 +74,7 @@ CALLS = [
             (entry(-1e300, row=4), ["1e+60", "row 4"]),
         ]
     ],
-    ("sources", None, ["real", "object"]),
+    ("points", None, ["real", "object"]),
     *[
         ("strengths", value, words)
         for value, words in [
@@ -124,10 +124,9 @@ def no_work(monkeypatch):
 @pytest.mark.parametrize(("name", "value", "words"), CALLS, ids=described)
 def test_argument_is_refused(name, value, words):
     """`evaluate` names the argument, what it got or what is allowed, and does nothing."""
-    call = {"kernel": KERNEL, "sources": POINTS, "strengths": POINTS, "targets": POINTS}
-    call |= {name: value}
+    call = {"kernel": KERNEL, "points": POINTS, "strengths": POINTS, "targets": POINTS}
     with pytest.raises((TypeError, ValueError), match=matches(name, words)):
-        tc.evaluate(call.pop("kernel"), call.pop("sources"), **call)
+        tc.evaluate(**call | {name: value})
 
 
 @pytest.mark.interpreted
@@ -178,7 +177,7 @@ def test_refused_points_leave_the_old_ones():
     """A plan survives what it refuses."""
     plan = tc.Plan(KERNEL, "direct").set_points(POINTS)
     before = plan.execute(POINTS)
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match=r"^sources must be finite"):
         plan.set_points(entry(np.nan))
     with pytest.raises(ValueError, match="finite"):
         plan.set_points(POINTS[:2], targets=entry(np.nan))

@@ -201,6 +201,8 @@ def test_a_second_export_leaves_no_frames_of_a_longer_run(tmp_path):
     numbers = {path.name for path in there.glob("*.vtu")} - {mine.name}
     assert numbers == {"flagellum_000000.vtu", "flagellum_000001.vtu"}
     assert mine.read_text() == "mine"
+    export.export(run, "vtu", there, frames=[1])
+    assert not (there / "flagellum_000000.vtu").exists(), "the folder holds what the list names"
 
 
 def test_a_working_copy_that_is_not_installed(monkeypatch):

@@ -241,8 +241,8 @@ def test_far_field_small_enough_to_interpret(backend):
 
 
 def test_strengths_that_ask_for_more():
-    """A choice stays for other strengths until it is refined."""
-    points, q = random_sum(4000)
+    """A choice of a short sum stays for other strengths until it is refined."""
+    points, q = random_sum(1200)
     plan = tc.Plan(KERNEL, "kitc", tol=1e-4).set_points(points)
     plan.execute(q)
     first = plan.choice
@@ -255,6 +255,19 @@ def test_strengths_that_ask_for_more():
     assert plan.refine(q)
     assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-4
     assert not plan.refine(q)
+
+
+def test_a_part_of_a_sum_is_refined_for_the_whole():
+    """What cancels with another sum has to be as much more accurate."""
+    points, q = random_sum(4000)
+    plan = tc.Plan(KERNEL, "kitc", tol=1e-3).set_points(points)
+    values = plan.execute(q)
+    first = plan.choice
+    assert not plan.refine(q, values=values)
+    assert plan.choice == first
+    assert plan.refine(q, 1e-6, values)
+    assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-6
+    assert plan.choice != first
 
 
 def test_number_of_points_is_chosen_for():

@@ -6,27 +6,44 @@ Nothing else in the package names a compiler flag. A function is one of four thi
 ``standalone``  called by others, compiled with them, but a function of its own to LLVM;
 ``compiled``    called from Python, independent of the kernel; compiled once and cached;
 ``Driver``      called from Python with a kernel first; compiled and cached once a kernel class.
+
+All are serial, and the last two leave the interpreter to other threads: `threads.Threads` shares
+their work. numba's own threads stay alive and do not survive a fork.
 """
 
 from __future__ import annotations
 
 import hashlib
-import inspect
+import os
+import pickle
 import platform
 import sys
 import time
+import warnings
 from collections.abc import Callable
 from functools import cache
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
+from uuid import uuid4
 
+import llvmlite
 import numba
 import numpy as np
+import numpy.ma  # else by numba in the first sum: a fork at that time would hang
 import platformdirs
 from llvmlite import ir
 from numba import types
+from numba.core.caching import NullCache
+from numba.core.compiler import CompileResult
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.errors import NumbaError, UnsupportedBytecodeError
+from numba.core.serialize import dumps
 from numba.extending import intrinsic, overload
 from numba.np import arrayobj
+
+from treecode._fingerprint import code_of, fingerprint
+from treecode._mistakes import explain
 
 # As fast as fastmath=True, but NaN and infinity keep their meaning; without "reassoc" a sum is
 # not vectorised. The default error model tests every division for zero, which stops SIMD too.
@@ -38,83 +55,203 @@ _OPTIONS: dict[str, Any] = {
 _INLINED: Any = _OPTIONS | {"forceinline": True}
 _CONFIG: Any = numba.config
 INTERPRETED = bool(_CONFIG.DISABLE_JIT)  # nothing is compiled: debugging, coverage
+_CHECK = hashlib.sha256().digest_size  # bytes before those of a file of the cache
+
 
 inlined = numba.njit(**_INLINED)
 standalone = numba.njit(**_OPTIONS, forceinline=False)
 
 
+def free_at_fork(lock: Any) -> None:
+    """Let a process fork when nobody holds `lock`: in its child nobody could release it."""
+    if hasattr(os, "register_at_fork"):
+        os.register_at_fork(
+            before=lock.acquire, after_in_parent=lock.release, after_in_child=lock.release
+        )
+
+
+free_at_fork(global_compiler_lock)
+
+
 @cache
 def _package_hash() -> str:
-    """Hash of every source file: numba's own stamp misses an edit in a file that is called."""
+    """Hash of every source file, and of who compiles them."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         digest.update(path.read_bytes())
+    versions = numba.__version__, llvmlite.__version__, np.__version__, sys.implementation.cache_tag
+    digest.update(repr(versions).encode())
     return digest.hexdigest()
 
 
-def _cached(function: Callable, key: str | None, parallel: bool) -> Any:
-    """Compile `function` with a disk cache in a folder named by `key`; no cache if it is None."""
-    # Serial functions leave the interpreter to other threads, which run more of them.
-    options = _OPTIONS | {"parallel": parallel, "forceinline": False, "nogil": not parallel}
-    if key is None or INTERPRETED:
-        return numba.njit(**options)(function)
-    root = _CONFIG.CACHE_DIR
-    folder = Path(root or platformdirs.user_cache_dir("treecode", appauthor=False))
-    _CONFIG.CACHE_DIR = str(folder / key[:16])
+def cache_folder() -> Path | None:
+    """Return where compiled code and operators are kept; None where there is no place for them.
+
+    That is ``NUMBA_CACHE_DIR`` if it is set, else a folder of the user's.
+    """
+    root = _CONFIG.CACHE_DIR or platformdirs.user_cache_dir("treecode", appauthor=False)
+    # A user without a home is given a folder "~".
+    return None if str(root).startswith("~") else Path(root)
+
+
+def write_cache(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Let `write` fill a file, whole or not at all; where that fails say so, and go on."""
+    temporary = path.with_name(f"{path.name}.{uuid4().hex}.part")
     try:
-        return numba.njit(cache=True, **options)(function)
-    finally:
-        _CONFIG.CACHE_DIR = root
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            with temporary.open("xb") as file:
+                write(file)
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except OSError as error:
+        _warn_uncached(error.strerror or str(error))
+
+
+_warned: set[Path | None] = set()
+
+
+def _warn_uncached(reason: str) -> None:
+    """Say, once for each cache folder, that nothing is kept there."""
+    folder = cache_folder()
+    if folder not in _warned:
+        _warned.add(folder)
+        warnings.warn(
+            f"cannot keep compiled code in {folder or 'a cache folder'} ({reason}): every process "
+            "compiles it again; set NUMBA_CACHE_DIR to a folder that can be written",
+            RuntimeWarning,
+            stacklevel=2,
+        )
+
+
+class _Cache(NullCache):
+    """The compiled versions of one function on disk, a file each.
+
+    A cache is never needed: what cannot be read is compiled, and written anew. numba's own keeps an
+    index of the versions beside them. It ends the program where a file is damaged or cannot be
+    written; two processes that start together can enter one version under the name of another; and
+    it cannot be read any more once a kernel's class cannot be imported.
+    """
+
+    def __init__(self, function: Callable, key: str) -> None:
+        self._name = f"{function.__module__}.{function.__qualname__}"
+        self._key = key
+
+    @property
+    def cache_path(self) -> str | None:
+        folder = cache_folder()
+        return str(folder / self._key[:16]) if folder else None
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        """Return the file of a version; None if it has no name that another process would know."""
+        what = f"{self._key}{self._name}{signature}{codegen.magic_tuple()}"
+        folder = self.cache_path
+        if folder is None or " at 0x" in what:  # an address
+            return None
+        version = hashlib.sha256(what.encode()).hexdigest()[:16]
+        return Path(folder) / f"{self._name}.{version}.nbc"
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """Return a compiled version; None if there is none, or a damaged one."""
+        target_context.refresh()
+        path = self._path(signature, target_context.codegen())
+        try:
+            data = path.read_bytes() if path else b""
+            if hashlib.sha256(data[_CHECK:]).digest() != data[:_CHECK]:
+                return None
+            result = CompileResult._rebuild(target_context, *pickle.loads(data[_CHECK:]))
+        except Exception:  # whatever unpickling raises
+            return None
+        return result if result.signature.args == tuple(signature) else None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Write a compiled version."""
+        path = self._path(signature, result.codegen)
+        if path is None:
+            if self.cache_path is None:
+                _warn_uncached("there is no home folder")
+            return
+        if not result.library.has_dynamic_globals:
+            data = dumps(result._reduce())
+            write_cache(path, lambda file: file.write(hashlib.sha256(data).digest() + data))
+
+
+def _cached(function: Callable, key: str | None) -> Any:
+    """Compile a function that is called from Python; keep it on disk if there is a key.
+
+    It leaves the interpreter to other threads.
+    """
+    dispatcher = numba.njit(**_OPTIONS, forceinline=False, nogil=True)(function)
+    if key is not None and not INTERPRETED:
+        dispatcher._cache = _Cache(function, key)
+    return dispatcher
 
 
 def compiled(function: Callable) -> Any:
-    """Compile a serial function that does not depend on the kernel."""
-    return _cached(function, _package_hash(), parallel=False)
-
-
-def compiled_parallel(function: Callable) -> Any:
-    """Compile a function with ``prange`` loops that does not depend on the kernel."""
-    return _cached(function, _package_hash(), parallel=True)
+    """Compile a function that does not depend on the kernel."""
+    return _cached(function, _package_hash())
 
 
 class Driver:
     """A function of a kernel, compiled and cached once for each kernel class.
 
-    Each kernel class has a cache folder of its own, named by the package's sources and by the file
-    that defines the kernel. An edit to a user's kernel is therefore seen, and no kernel that cannot
-    be imported any more can spoil the index that others read. Kernels of a script or a notebook
-    itself are compiled at each run.
+    Each kernel class has a cache folder of its own, named by all that is compiled of it. An edit to
+    a user's kernel is therefore seen, wherever it is made. Kernels of a script or a notebook itself
+    are compiled at each run.
     """
 
-    def __init__(self, function: Callable, parallel: bool = True) -> None:
-        self._function, self._parallel = function, parallel
+    def __init__(self, function: Callable) -> None:
+        self._function = function
         self._dispatchers: dict[type, Any] = {}
 
     def dispatcher(self, kernel_class: type) -> Any:
         """Return numba's dispatcher for one kernel class."""
         if kernel_class not in self._dispatchers:
-            key = kernel_key(kernel_class)
-            self._dispatchers[kernel_class] = _cached(self._function, key, self._parallel)
+            made = _cached(self._function, kernel_key(kernel_class))
+            self._dispatchers.setdefault(kernel_class, made)
         return self._dispatchers[kernel_class]
 
     def __call__(self, kernel: Any, *arguments: Any) -> Any:
-        return self.dispatcher(type(kernel))(kernel, *arguments)
+        try:
+            return self.dispatcher(type(kernel))(kernel, *arguments)
+        except (NumbaError, UnsupportedBytecodeError) as error:
+            # numba's own has some hundred lines, most of them about functions of this package.
+            raise TypeError(explain(kernel, str(error))) from None
 
 
-def serial_driver(function: Callable) -> Driver:
-    """Make a `Driver` of a function without ``prange`` loops, for threads of Python to call."""
-    return Driver(function, parallel=False)
-
-
+@cache
 def kernel_key(kernel_class: type) -> str | None:
     """Return the name of a kernel's cache folder, or None if it cannot be cached."""
-    if kernel_class.__module__.split(".")[0] == __package__:
+    module, name = kernel_class.__module__, kernel_class.__qualname__
+    if module.partition(".")[0] == __package__:
         return _package_hash()
-    if kernel_class.__module__ == "__main__":  # another process would not know it for the same
+    # Another process must find the same class.
+    try:
+        found = attrgetter(name)(sys.modules[module])
+    except (KeyError, AttributeError):
+        found = None
+    if module in ("__main__", "__mp_main__") or found is not kernel_class:
         return None
-    source = inspect.getsource(sys.modules[kernel_class.__module__])
-    name = f"{kernel_class.__module__}.{kernel_class.__qualname__}"
-    return hashlib.sha256(f"{_package_hash()}{name}{source}".encode()).hexdigest()
+    return fingerprint(_package_hash(), module, name, code_of(kernel_class, _hooked))
+
+
+def require_unchanged(kernel_class: type) -> None:
+    """Refuse a kernel whose code, or a global that it reads, is not what it was the first time.
+
+    Compiled code would not follow.
+    """
+    if kernel_class.__module__.partition(".")[0] != __package__:
+        mark = fingerprint(code_of(kernel_class, _hooked), files=False)
+        if _marks.setdefault(kernel_class, mark) != mark:
+            raise RuntimeError(
+                f"kernel {kernel_class.__qualname__}, or a global that it reads, has changed since "
+                "it was compiled: define the class anew, or make a field of what changes"
+            )
+
+
+_hooked: set[str] = set()  # methods that compiled code can call
+_marks: dict[type, str | None] = {}  # of the kernels that have been seen
 
 
 def method_hook(stub: Callable) -> Callable:
@@ -124,6 +261,7 @@ def method_hook(stub: Callable) -> Callable:
     inlined. This is how kernels and expansions reach the loops, at no cost at run time.
     """
     name = stub.__name__
+    _hooked.add(name)
 
     @overload(stub, jit_options=_INLINED, strict=False)
     def _lookup(self, *arguments):

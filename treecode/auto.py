@@ -27,11 +27,15 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from treecode._lanes import LANES
+from treecode.accuracy import Error, Parts, largest, ratio
 from treecode.backends import direct, kitc, taylor
 from treecode.backends.walk import PRECISIONS, Walk
 from treecode.fmm.multipole import Multipole, precision_for
 from treecode.kernels.base import Kernel
-from treecode.traversal import acceptance
+from treecode.pairs import sum_few
+from treecode.threads import Threads
+from treecode.traversal import acceptance, load_weights
 from treecode.tree import Tree
 
 WALKS: dict[str, ModuleType] = {"direct": direct, "kitc": kitc, "taylor": taylor}
@@ -42,8 +46,14 @@ TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(1, 26))  # of "fmm": few op
 FEW = 100_000_000  # pairs: what takes a tenth of a second in all is not thought about
 PROBE: dict[str, Any] = {"theta": 0.7, "degree": 3, "leaf_size": 500}
 
-_PILOTS = 64  # targets at which errors are looked at before a sum
+_PILOTS = 64  # targets at which errors are looked at before a sum,
+_FEW_PILOTS = 16  # more if fewer than so many would be of a group
 _SAMPLES = 400  # and after it
+WATCHED = 16  # at every later sum,
+WATCHED_FROM = 2_000_000  # if it takes as long as so many pairs,
+_WATCHED_SHARE = 200  # and so many times as long as to watch them
+_ASTRAY = 2.0  # times the tolerance, from which errors there are looked into
+_PIECE = 200_000  # pairs, for which a thread is woken
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.25  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm", and the choice
@@ -55,6 +65,10 @@ _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms tha
 
 class ToleranceError(ValueError):
     """No sum among those allowed is as accurate as it was asked to be."""
+
+
+class CancellationError(ToleranceError):
+    """Not even direct sums in doubles are: their terms cancel to little more than rounding."""
 
 
 class Choice(NamedTuple):
@@ -100,22 +114,9 @@ class Choice(NamedTuple):
 EXACT = Choice("direct", precision="float64")
 
 
-class Error(NamedTuple):
-    """A relative error at drawn targets.
-
-    Attributes
-    ----------
-    norm : float
-        K eq. (8.1), over all columns.
-    by_unit : float
-        The largest of those over columns of one unit, as velocities and angular velocities.
-    bound : float
-        `by_unit` where the error of the draw is two standard deviations.
-    """
-
-    norm: float
-    by_unit: float
-    bound: float
+def is_exact(choice: Choice) -> bool:
+    """Tell whether this is direct summation in doubles."""
+    return choice.backend == "direct" and choice.precision != "float32"
 
 
 def sampled_error(
@@ -123,66 +124,19 @@ def sampled_error(
     done: Walk | Multipole,
     strengths: np.ndarray,
     values: np.ndarray,
+    parts: Parts,
     samples: int,
     seed: int = 0,
 ) -> Error:
-    """Return the error of a sum that gave `values` for `strengths`.
-
-    Half of the targets are drawn evenly and half in proportion to the squares of their values, so
-    that neither many small errors nor a few large values are missed.
-    """
-    if not np.isfinite(values).all():
-        return Error(math.inf, math.inf, math.inf)
-    units = _units(kernel)
-    peak = np.abs(values).max(initial=0.0) or 1.0
-    power = (values / peak) ** 2 @ units
-    total = power.sum(axis=0)
-    drawn, weight = _draw(power, samples, seed)
+    """Return the error of a sum that gave `values` for `strengths`."""
     place = np.empty_like(done.target_order)
     place[done.target_order] = np.arange(len(values))
-    exact = _direct(kernel, done.sources, done.targets[:, place[drawn]])
-    expected = exact.execute(strengths[done.source_order]) / peak
-    squares = weight[:, None] * ((values[drawn] / peak - expected) ** 2 @ units)
-    norm = np.maximum(total + weight @ (expected**2 @ units - power[drawn]), 0.0)
-    deviation = math.sqrt(len(drawn)) * squares.std(axis=0) * (samples < len(values))
-    sums = squares.sum(axis=0)
-    return Error(
-        float(_ratio(sums.sum(), norm.sum())),
-        float(_ratio(sums, norm).max()),
-        float(_ratio(sums + 2.0 * deviation, norm).max()),
-    )
 
+    def exact_at(rows: np.ndarray) -> np.ndarray:
+        exact = _direct(kernel, done.sources, done.targets[:, place[rows]])
+        return exact.execute(strengths[done.source_order])
 
-def _draw(power: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows, all of them if there are few, and how many others each stands for."""
-    count = len(power)
-    if samples >= count:
-        return np.arange(count), np.ones(count)
-    total = power.sum(axis=0)
-    share = 1.0 / count + (power / np.where(total > 0.0, total, 1.0)).mean(axis=1)
-    share /= share.sum()
-    drawn = np.random.default_rng(seed).choice(count, samples, p=share)
-    return drawn, 1.0 / (samples * share[drawn])
-
-
-def _ratio(squares: Any, norm: Any) -> Any:
-    """Return the root of a quotient; nothing of nothing is nothing."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.sqrt(np.where(squares == 0.0, 0.0, squares / norm))
-
-
-def _units(kernel: Kernel) -> np.ndarray:
-    """Return which columns of the values have which unit, (value_size, units) of 0 and 1."""
-    lengths = np.array(getattr(kernel, "value_lengths", (0,) * kernel.value_size))
-    return (lengths[:, None] == np.unique(lengths)).astype(float)
-
-
-def _difference(kernel: Kernel, values: np.ndarray, exact: np.ndarray) -> float:
-    """Return the relative difference, the largest of those of columns of one unit."""
-    units = _units(kernel)
-    peak = np.abs(exact).max(initial=0.0) or 1.0
-    squares = (((values - exact) / peak) ** 2 @ units).sum(axis=0)
-    return float(_ratio(squares, ((exact / peak) ** 2 @ units).sum(axis=0)).max())
+    return parts.sampled_error(values, exact_at, samples, seed)
 
 
 def _direct(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Walk | Multipole:
@@ -207,7 +161,7 @@ class Search:
     backends : tuple of str
         To choose from.
     tolerance : float
-        Relative error, K eq. (8.1), of values of each unit.
+        Relative error, K eq. (8.1), of each of the `accuracy.Parts`.
     theta, leaf_size : optional
         Of treecodes, where they are not to be chosen.
     progress : bool, optional
@@ -224,7 +178,11 @@ class Search:
     sums: int = _SUMS
 
     def __call__(
-        self, sources: np.ndarray, targets: np.ndarray | None, strengths: np.ndarray
+        self,
+        sources: np.ndarray,
+        targets: np.ndarray | None,
+        strengths: np.ndarray,
+        parts: Parts,
     ) -> tuple[Choice, Walk | Multipole, np.ndarray]:
         """Return what was chosen for points (3, N) and (3, M), the sum, and what it gave.
 
@@ -233,7 +191,7 @@ class Search:
         ToleranceError
             With the tolerance that can be had.
         """
-        case = _Case(self, sources, sources if targets is None else targets, strengths)
+        case = _Case(self, sources, sources if targets is None else targets, strengths, parts)
         kept, limit = None, math.inf
         while limit > 0.0 and (best := case.cheapest(limit)):
             choice = best.choice
@@ -249,18 +207,50 @@ class Search:
             values = done.execute(strengths)
             if choice == EXACT:
                 return choice, done, values
-            bound = self.bound(done, strengths, values)
+            bound = self.bound(done, strengths, values, parts)
             if kept:  # at all targets, of which a few may carry the error
-                bound = max(bound, _difference(self.kernel, values, kept[2]))
+                bound = max(bound, float(parts.difference(values, kept[2]).max()))
             case.learn(best, bound)
             if bound <= self.tolerance:
                 kept, limit = (choice, done, values), _WORTH * best.seconds * (self.sums > 1)
         assert kept is not None  # else `cheapest` refuses
         return kept
 
-    def bound(self, done: Walk | Multipole, strengths: np.ndarray, values: np.ndarray) -> float:
+    def bound(
+        self, done: Walk | Multipole, strengths: np.ndarray, values: np.ndarray, parts: Parts
+    ) -> float:
         """Return what the error of a sum that gave `values` hardly exceeds."""
-        return sampled_error(self.kernel, done, strengths, values, _SAMPLES).bound
+        return sampled_error(self.kernel, done, strengths, values, parts, _SAMPLES).bound
+
+    def seems_kept(
+        self,
+        done: Walk | Multipole,
+        strengths: np.ndarray,
+        values: np.ndarray,
+        parts: Parts,
+        rows: np.ndarray,
+        points: np.ndarray,
+    ) -> bool:
+        """Look at the targets `rows`, which are at `points`, (3, n): a hundredth of a long sum.
+
+        A sum that is kept while points and strengths change may lose its accuracy.
+        """
+        count = done.sources.shape[1]
+        few = min(len(rows), int(done.effort / (_WATCHED_SHARE * max(1, count))))
+        if done.effort < WATCHED_FROM or not few:
+            return True
+        weights = np.empty((self.kernel.weight_size, count))
+        padded = np.zeros((3, few + LANES - 1))
+        padded[:, :few] = points[:, :few]
+        exact = np.zeros((self.kernel.value_size, few))
+
+        def sum_some(some: slice) -> None:
+            sum_few(self.kernel, padded, some.start, some.stop, done.sources, weights, exact)
+
+        with Threads(most=1 + few * count // _PIECE) as threads:
+            load_weights(self.kernel, strengths, done.source_order, weights, threads)
+            threads(sum_some, few, 1)
+        return parts.seem_within(_ASTRAY * self.tolerance, values, exact.T, rows[:few])
 
 
 class _Candidate(NamedTuple):
@@ -278,19 +268,25 @@ class _Case:
     """
 
     def __init__(
-        self, search: Search, sources: np.ndarray, targets: np.ndarray, strengths: np.ndarray
+        self,
+        search: Search,
+        sources: np.ndarray,
+        targets: np.ndarray,
+        strengths: np.ndarray,
+        parts: Parts,
     ) -> None:
-        self._search, self._model = search, model(search.kernel)
+        self._search, self._model, self._parts = search, model(search.kernel), parts
         self._sources, self._targets = sources, targets
         self._misses: dict[tuple[str, str | None], float] = defaultdict(lambda: 1.0)
         self._prices: dict[float, tuple[Choice, float]] = {}
         self._tried: set[Choice] = set()
-        drawn = np.random.default_rng(0).permutation(targets.shape[1])[:_PILOTS]
-        self._pilots = targets[:, drawn]
+        self._drawn = parts.draw(_PILOTS, _FEW_PILOTS)
+        self._pilots = targets[:, self._drawn]
         exact = self._require_digits(strengths)
         pairs = sources.shape[1] * targets.shape[1] * search.sums
         self._few = pairs <= FEW and "direct" in search.backends
-        if not self._few:
+        self._named = search.backends == ("fmm",)  # takes a tolerance itself
+        if not (self._few or self._named):
             probe = self._error_of(Choice("kitc", **PROBE), strengths, exact)
             self._scale = _MARGIN * (probe or self._model.usual_error)
             single = Choice("direct", precision="float32")
@@ -305,15 +301,17 @@ class _Case:
         """
         done = _direct(self._search.kernel, self._sources, self._pilots.copy())
         exact = done.execute(strengths)
-        rng, spread = np.random.default_rng(0), 0.0
+        peak = largest(exact)
+        rng, spread = np.random.default_rng(0), np.zeros(())
         for _ in range(8 if len(strengths) <= _PILOTS else 1):  # few may all be taken
             taken = rng.integers(0, 2, (len(strengths), 1)) * strengths
-            spread = max(spread, float(np.linalg.norm(2.0 * done.execute(taken) - exact)))
-        size = float(np.linalg.norm(exact))
-        if size > 0.0 and _ROUNDING * spread > self._search.tolerance * size:
-            loss = spread / size
+            random = (2.0 * done.execute(taken) - exact) / peak
+            spread = np.maximum(spread, self._parts.squares(random, self._drawn))
+        size = self._parts.squares(exact / peak, self._drawn)
+        loss = float(ratio(spread * (size > 0.0), size).max(initial=0.0))
+        if _ROUNDING * loss > self._search.tolerance:
             why = f"contributions cancel to {1.0 / loss:.1g} of their size"
-            self._refuse(_ROUNDING * loss, why)
+            self._refuse(_ROUNDING * loss, why, CancellationError)
         return exact
 
     def _error_of(self, choice: Choice, strengths: np.ndarray, exact: np.ndarray) -> float:
@@ -323,7 +321,7 @@ class _Case:
         values = done.execute(strengths)
         if not np.isfinite(values).all():  # beyond the range of singles
             return math.inf
-        return _difference(self._search.kernel, values, exact)
+        return float(self._parts.difference(values, exact, self._drawn).max())
 
     def cheapest(self, below: float) -> _Candidate | None:
         """Return the cheapest of what should reach the tolerance and was not tried yet.
@@ -349,16 +347,18 @@ class _Case:
 
     def learn(self, done: _Candidate, bound: float) -> None:
         """Expect of sums of the same kind what the sample says of one."""
-        ratio = max(bound / done.error, _LEAST) if bound < 1.0 else math.inf
-        self._misses[_kind(done.choice)] *= ratio
+        self._misses[_kind(done.choice)] *= max(bound / done.error, _LEAST)
         self._tried.add(done.choice)
 
     def _expected(self, offer: _Candidate) -> _Candidate:
         return offer._replace(error=self._misses[_kind(offer.choice)] * offer.error)
 
-    def _refuse(self, attainable: float, why: str) -> NoReturn:
-        raise ToleranceError(
-            f"tol must be at least {1.1 * attainable:.1e} for these points and strengths "
+    def _refuse(
+        self, attainable: float, why: str, kind: type[ToleranceError] = ToleranceError
+    ) -> NoReturn:
+        least = f"tol must be at least {1.1 * attainable:.1e}"
+        raise kind(
+            f"{least if attainable < 1.0 else 'no tol can be kept'} for these points and strengths "
             f"({why}), got {self._search.tolerance:g}"
         )
 
@@ -384,12 +384,14 @@ class _Case:
         every = -(-self._sources.shape[1] // _COUNTED)
         sample = self._sources[:, ::every].copy()
         tree, _ = WALKS[backend].build(sample, max(1, leaf_sizes[0] // every))
-        more = self._targets.shape[1] / self._pilots.shape[1]
+        count = self._targets.shape[1]
+        even = self._targets[:, np.random.default_rng(0).permutation(count)[:_PILOTS]]
+        more = count / even.shape[1]
         degrees = np.array(DEGREES[backend])
         terms = count_terms(backend, degrees)
         for theta in THETAS if search.theta is None else (search.theta,):
             cut_off = self._scale * self._model.error(backend, theta, degrees)
-            met = meet(tree, self._pilots, theta)
+            met = meet(tree, even, theta)
             for leaf_size in leaf_sizes:
                 near, accepted = count_pairs(met, leaf_size / every, terms / every)
                 work = [
@@ -407,11 +409,17 @@ class _Case:
                         yield _Candidate(choice, *row[1:])
 
     def _multipole(self) -> _Candidate:
-        """Return the fast multipole method at the largest tolerance that should do."""
-        for tol in TOLERANCES:
-            error = self._scale * self._model.multipole_error(tol)
-            offer = self._expected(_Candidate(Choice("fmm", tol=tol), math.inf, error))
-            if offer.error <= self._search.tolerance:
+        """Return the fast multipole method at the largest tolerance that should do.
+
+        By name it is first expected to reach what it is asked for.
+        """
+        asked = self._search.tolerance
+        smaller = tuple(tol for tol in TOLERANCES if tol < asked)
+        for tol in (asked, *smaller) if self._named else TOLERANCES:
+            error = tol if self._named else self._scale * self._model.multipole_error(tol)
+            choice = Choice("fmm", leaf_size=self._search.leaf_size, tol=tol)
+            offer = self._expected(_Candidate(choice, math.inf, error))
+            if offer.error <= asked:
                 choice, seconds = self._priced(tol)
                 return offer._replace(choice=choice, seconds=seconds)
         return offer
@@ -419,13 +427,15 @@ class _Case:
     def _priced(self, tol: float) -> tuple[Choice, float]:
         """Return the fast multipole method with the side of its root, and its seconds."""
         if tol not in self._prices:
-            multipole = Multipole(self._search.kernel, tol)
+            leaf_size = self._search.leaf_size
+            multipole = Multipole(self._search.kernel, tol, leaf_size=leaf_size)
             work = multipole.work(
                 self._sources, None if self._targets is self._sources else self._targets
             )
             seconds = self._model.seconds("fmm", precision_for(tol), work.amounts)
             seconds += self._model.building_seconds(tol, work.sizes) / self._search.sums
-            self._prices[tol] = Choice("fmm", tol=tol, width=multipole.width), seconds
+            choice = Choice("fmm", leaf_size=leaf_size, tol=tol, width=multipole.width)
+            self._prices[tol] = choice, seconds
         return self._prices[tol]
 
 

@@ -33,7 +33,10 @@ def positive(name: str, value: Any) -> float:
 
 
 def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
-    """Return `value` if it is a named tuple with the members that the backend needs."""
+    """Return `value` if it is a named tuple with the members that the backend needs.
+
+    `value_lengths` must be as many numbers as values.
+    """
     missing = [name for name in members if not hasattr(value, name)]
     if isinstance(value, type) or not isinstance(value, tuple):
         raise TypeError(
@@ -44,6 +47,13 @@ def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
         raise TypeError(
             f"kernel must have {', '.join(missing)} for backend {backend!r}, got {value!r}; "
             "'kitc' and 'direct' work with any treecode.Kernel"
+        )
+    lengths, size = getattr(value, "value_lengths", None), getattr(value, "value_size", 0)
+    if not isinstance(lengths, tuple) or len(lengths) != size:
+        raise TypeError(
+            f"kernel must have value_lengths, a tuple of {size} numbers that are equal for values "
+            "of one unit, as (1, 1, 1) for velocities or (1, 1, 1, 2, 2, 2) for velocities and "
+            f"angular velocities; got {lengths!r} in {value!r}"
         )
     return value
 
@@ -75,6 +85,7 @@ def absent(where: str, **values: Any) -> None:
 def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.ndarray:
     """Return `value` as a finite (N, columns) float64 array; N must be `count` if that is given."""
     shape = f"({'N' if count is None else count}, {columns})"
+    unmasked(name, value)
     try:
         array = np.asarray(value)
     except ValueError:  # ragged
@@ -89,6 +100,26 @@ def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.nd
         row = int(np.argmax(~np.isfinite(array).all(axis=1)))
         raise ValueError(f"{name} must be finite, got {array[row]} in row {row}")
     return array
+
+
+def unmasked(name: str, value: Any) -> None:
+    """Refuse masked entries, which NumPy would take for numbers."""
+    parts = value if isinstance(value, (list, tuple)) else (value,)
+    if any(np.ma.is_masked(part) for part in parts):
+        raise ValueError(
+            f"{name} must not have masked entries: fill them, or leave the rows out, got {value!r}"
+        )
+
+
+def groups(value: Any, count: int) -> np.ndarray:
+    """Return `value` as an int array, (count,)."""
+    unmasked("groups", value)
+    array = np.asarray(value)
+    if array.dtype.kind not in "iu" and array.size:
+        raise TypeError(f"groups must hold integers, got dtype {array.dtype}")
+    if array.shape != (count,):
+        raise ValueError(f"groups must have shape ({count},), one a target, got {array.shape}")
+    return array.astype(np.int64)
 
 
 def points(name: str, value: Any) -> np.ndarray:

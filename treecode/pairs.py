@@ -6,7 +6,7 @@ import numpy as np
 from numba import types
 from numpy import uintp
 
-from treecode._jit import inlined, overloaded, stack_array, standalone, wide_vectors
+from treecode._jit import Driver, inlined, overloaded, stack_array, standalone, wide_vectors
 from treecode._lanes import LANES, lane_count, lane_sum, load, store
 from treecode.kernels.base import pair, weight_column, weight_lanes, zero
 
@@ -113,3 +113,22 @@ def accumulate_row(kernel, targets, i, sources, weights, count, out):
         acc = pair(kernel, dx, dy, dz, weight_lanes(kernel, weights, j), acc)
     for c in range(len(acc)):
         out[c, i] += lane_sum(acc[c])
+
+
+@Driver
+def sum_few(kernel, targets, begin, end, sources, weights, out):
+    """Add to the targets ``begin:end``, which are few, what all sources do to them.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    targets : (3, M + LANES - 1) float64
+    begin, end : int
+    sources, weights : (3, N) and (weight_size, N) float64
+    out : (value_size, M) float64
+    """
+    count = sources.shape[1]
+    whole = count - count % lane_count(sources)
+    for i in range(begin, end):
+        accumulate_row(kernel, targets, i, sources, weights, whole, out)
+    accumulate(kernel, targets, begin, end, sources, weights, whole, count, out)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
-from treecode._jit import Driver, inlined, method_hook, serial_driver, standalone, ticks
+from treecode._jit import Driver, inlined, method_hook, standalone, ticks
 from treecode._lanes import LANES
-from treecode.kernels.base import SMALLEST, strength_row, weights
+from treecode.kernels.base import SMALLEST, Kernel, strength_row, weights
 from treecode.pairs import accumulate_near
+from treecode.threads import Threads
 from treecode.tree import Tree
 
 # Targets that go down the tree together: enough to share the set-up of a far field, few enough
@@ -160,7 +160,7 @@ def _evaluate_batch(
     notes[ALL_TICKS] = ticks() - since
 
 
-@serial_driver
+@Driver
 def evaluate_batches(
     kernel, expansion, tree, distance2, sources, weights, targets, order, begin, end, like, values,
     notes,
@@ -208,10 +208,21 @@ def evaluate_batches(
         )
 
 
-@Driver
-def load_weights(kernel, strengths, order, out):
+def load_weights(
+    kernel: Kernel, strengths: np.ndarray, order: np.ndarray, out: np.ndarray, threads: Threads
+) -> None:
     """Write the linear weights of ``strengths[order]`` to the columns of `out`."""
-    for i in prange(len(order)):
+
+    def load_some(some: slice) -> None:
+        write_weights(kernel, strengths, order, some.start, some.stop, out)
+
+    threads(load_some, len(order), least=BATCH_SIZE)
+
+
+@Driver
+def write_weights(kernel, strengths, order, begin, end, out):
+    """Write the columns ``begin:end``; see `load_weights`."""
+    for i in range(begin, end):
         w = weights(kernel, strength_row(kernel, strengths, order[i]))
         for c in range(len(w)):
             out[c, i] = w[c]

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
 
-from treecode._jit import compiled_parallel, method_hook
+from treecode._jit import compiled, method_hook
+from treecode.threads import Threads
 from treecode.tree import Tree
 
 
@@ -29,7 +29,9 @@ def finish(self: Any, cluster) -> None:
     self.finish(cluster)
 
 
-def fill(expansion: Any, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
+def fill(
+    expansion: Any, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
+) -> None:
     """Compute the expansions of all clusters that have one.
 
     Parameters
@@ -39,24 +41,30 @@ def fill(expansion: Any, tree: Tree, sources: np.ndarray, weights: np.ndarray) -
     tree : Tree
     sources, weights : (3, N) and (weight_size, N) float64
         In tree order.
+    threads : Threads
     """
-    levels = np.searchsorted(tree.level, np.arange(tree.depth + 2))
-    _fill(expansion, tree, levels, sources, weights)
+    levels = np.searchsorted(tree.level, np.arange(tree.depth + 2)).tolist()
+    for first, stop in zip(levels[-2::-1], levels[:0:-1], strict=True):
+
+        def fill_some(some: slice, first: int = first) -> None:
+            begin, end = first + some.start, first + some.stop
+            _fill(expansion, tree, begin, end, sources, weights)
+
+        threads(fill_some, stop - first)
 
 
-@compiled_parallel
-def _fill(expansion, tree, levels, sources, weights):
-    for level in range(len(levels) - 2, -1, -1):
-        for cluster in prange(levels[level], levels[level + 1]):
-            if expansion.slot[cluster] >= 0:
-                if tree.children[cluster] == 0:
-                    start, stop = tree.start[cluster], tree.stop[cluster]
+@compiled
+def _fill(expansion, tree, begin, end, sources, weights):
+    for cluster in range(begin, end):
+        if expansion.slot[cluster] >= 0:
+            if tree.children[cluster] == 0:
+                start, stop = tree.start[cluster], tree.stop[cluster]
+                gather_particles(expansion, tree, cluster, sources, weights, start, stop)
+            for k in range(tree.children[cluster]):
+                child = tree.child[cluster] + k
+                if expansion.slot[child] >= 0:
+                    gather_child(expansion, tree, cluster, child)
+                else:
+                    start, stop = tree.start[child], tree.stop[child]
                     gather_particles(expansion, tree, cluster, sources, weights, start, stop)
-                for k in range(tree.children[cluster]):
-                    child = tree.child[cluster] + k
-                    if expansion.slot[child] >= 0:
-                        gather_child(expansion, tree, cluster, child)
-                    else:
-                        start, stop = tree.start[child], tree.stop[child]
-                        gather_particles(expansion, tree, cluster, sources, weights, start, stop)
-                finish(expansion, cluster)
+            finish(expansion, cluster)

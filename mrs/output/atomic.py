@@ -46,7 +46,9 @@ def telling(path: Path) -> Iterator[None]:
         full = error.errno in _FULL
         if not full and (error.errno is None or error.filename is not None):
             raise
-        kept = "; what it held before is kept: free some space, then `mrs resume` the run"
+        kept = (
+            "; what it held before is kept: free some space, then `mrs resume` a run, or try again"
+        )
         told = WriteError(f"{path} could not be written: {error.strerror}" + kept * full)
         told.errno = error.errno
         raise told from error

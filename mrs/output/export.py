@@ -16,7 +16,7 @@ from mrs import rundir
 from mrs.output.atomic import replacing
 from mrs.output.frames import Frames, trajectory_paths
 from mrs.output.vtkhdf import Topology, Trajectory
-from mrs.output.vtp import polydata, write_pvd, write_vtp
+from mrs.output.vtp import polydata, write_pvd, write_xml
 
 if TYPE_CHECKING:
     import meshio
@@ -79,7 +79,8 @@ def export(
             known = Frames([trajectory])
             numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
             own = {i: destination / f"{path.stem}_{i:06d}.{suffix}" for i in numbers}
-            rundir.note(directory, *own.values())
+            made = [destination / f"{path.stem}.pvd"] if suffix in _WITH_LIST else []
+            rundir.note_made(directory, *own.values(), *made)
             for i, file in own.items():
                 _write(trajectory, i, file)
         files += own.values()
@@ -87,10 +88,9 @@ def export(
         for old in set(destination.iterdir()).difference(files):
             if ours.fullmatch(old.name):
                 old.unlink()
-        if suffix in _WITH_LIST:
-            lists.append(destination / f"{path.stem}.pvd")
-            rundir.note(directory, lists[-1])
-            write_pvd(lists[-1], [(known.times[i], file.name) for i, file in own.items()])
+        for file in made:
+            write_pvd(file, [(known.times[i], file.name) for i, file in own.items()])
+        lists += made
     return files + lists
 
 
@@ -98,7 +98,7 @@ def _write(trajectory: Trajectory, i: int, file: Path) -> None:
     """Write a frame in the format of the suffix."""
     frame = trajectory.points(i), trajectory.point_data(i), trajectory.cell_data(i)
     if file.suffix == ".vtp":
-        write_vtp(file, polydata(trajectory.topology, *frame))
+        write_xml(file, polydata(trajectory.topology, *frame))
         return
     with replacing(file) as temporary:
         if file.suffix == ".xdmf":

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mrs.output.atomic import replacing
+from mrs.output.vtp import write_xml
 
 
 class Grid(NamedTuple):
@@ -131,8 +131,7 @@ def write_field(
         image.point_data[name] = _rows(name, values, grid)
     for name, number in (numbers or {}).items():
         image.field_data[name] = [float(number)]
-    with replacing(Path(path)) as temporary:
-        image.save(temporary)
+    write_xml(Path(path), image)
 
 
 def streamlines(
@@ -195,8 +194,7 @@ def streamlines(
         lines = pv.PolyData()
         reason = "they leave the grid at once" if velocity.any() else "the fluid is at rest"
         warnings.warn(f"no streamlines through {len(places)} seeds: {reason}", stacklevel=2)
-    with replacing(Path(path)) as temporary:
-        lines.save(temporary)
+    write_xml(Path(path), lines)
 
 
 def _rows(name: str, values: ArrayLike, grid: Grid) -> np.ndarray:

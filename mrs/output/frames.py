@@ -7,11 +7,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from mrs import rundir
 from mrs.output.vtkhdf import Trajectory
 
 
 def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
-    """Return the trajectories of a run.
+    """Return the trajectories of a run; all in a directory that lists no run's files.
 
     Parameters
     ----------
@@ -22,7 +23,9 @@ def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
     FileNotFoundError
         If there are none.
     """
+    own = set(rundir.noted(directory))
     paths = sorted(Path(directory).glob("[!.]*.vtkhdf"))
+    paths = [path for path in paths if path in own or not own]
     if not paths:
         raise FileNotFoundError(f"no trajectories (*.vtkhdf) in {directory}")
     return paths

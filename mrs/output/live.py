@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from mrs.output.atomic import DamagedError, telling
 from mrs.output.vtkhdf import Topology
-from mrs.output.vtp import polydata, read_pvd, write_pvd, write_vtp
+from mrs.output.vtp import polydata, read_pvd, write_pvd, write_xml
 
 
 def append(
@@ -40,7 +40,7 @@ def append(
     frame = next_frame(path)
     with telling(frame):
         frame.parent.mkdir(parents=True, exist_ok=True)
-    write_vtp(frame, polydata(topology, points, point_data, cell_data))
+    write_xml(frame, polydata(topology, points, point_data, cell_data))
     write_pvd(path, [*files, (time, frame.relative_to(path.parent).as_posix())])
 
 

@@ -136,7 +136,7 @@ def render(
         stage = _stage(bodies, frames, camera, size, background)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
-        rundir.note(directory, destination)
+        rundir.note_made(directory, destination)
         pictures = (_picture(bodies, places, colors, stage) for places in frames)
         with replacing(destination) as temporary:
             _write(temporary, pictures, fps)

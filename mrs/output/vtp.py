@@ -44,20 +44,20 @@ def polydata(
     return mesh
 
 
-def write_vtp(path: Path, mesh: pv.PolyData) -> None:
-    """Write a frame.
+def write_xml(path: Path, data: pv.DataSet) -> None:
+    """Write a .vtp or .vti file, or what else VTK has a format for.
 
     VTK makes the text and Python writes it: VTK's own writing ends in a crash on a full disk.
 
     Parameters
     ----------
     path : Path
-    mesh : pyvista.PolyData
+    data : pyvista.DataSet
     """
-    from vtkmodules.vtkIOXML import vtkXMLPolyDataWriter
+    from vtkmodules.vtkIOXML import vtkXMLDataObjectWriter
 
-    writer = vtkXMLPolyDataWriter()
-    writer.SetInputData(mesh)
+    writer = vtkXMLDataObjectWriter.NewWriter(data.GetDataObjectType())
+    writer.SetInputData(data)
     writer.SetDataModeToBinary()
     writer.WriteToOutputStringOn()
     writer.Write()

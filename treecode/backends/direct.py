@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode.kernels.base import MEMBERS
+from treecode.threads import Threads
 from treecode.tree import Tree, build_tree
 
 MIN_DEGREE = 1
@@ -43,5 +44,7 @@ def prepare(
     return NoExpansion()
 
 
-def update(expansion: NoExpansion, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
+def update(
+    expansion: NoExpansion, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
+) -> None:
     """Do nothing: the sum is taken over the points themselves."""

@@ -10,6 +10,7 @@ from treecode._jit import inlined, standalone, wide_vectors
 from treecode._lanes import LANES
 from treecode.kernels.base import MEMBERS, SMALLEST, Kernel
 from treecode.pairs import accumulate
+from treecode.threads import Threads
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 from treecode.upward import fill
@@ -86,10 +87,12 @@ def prepare(
     return Interpolation(nodes, slot, np.empty(shape, dtype))
 
 
-def update(expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
+def update(
+    expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
+) -> None:
     """Compute the modified weights from the particles' `weights`."""
     expansion.weights[...] = 0.0
-    fill(expansion, tree, sources, weights)
+    fill(expansion, tree, sources, weights, threads)
 
 
 @inlined

@@ -35,6 +35,7 @@ from treecode._jit import (
 )
 from treecode._lanes import inverse_sqrt
 from treecode.kernels.base import COLUMNS, MEMBERS, Kernel
+from treecode.threads import Threads
 from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 from treecode.upward import fill
@@ -237,10 +238,12 @@ def prepare(
     )
 
 
-def update(expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.ndarray) -> None:
+def update(
+    expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
+) -> None:
     """Compute the moments, T eqs. (8) and (11), divided by factorials."""
     expansion.moments[...] = 0.0
-    fill(expansion, tree, sources, weights)
+    fill(expansion, tree, sources, weights, threads)
 
 
 @standalone

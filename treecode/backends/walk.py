@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import sys
 from types import ModuleType
 from typing import Any
 
-import numba
 import numpy as np
 
 from treecode.kernels.base import Kernel
@@ -43,10 +41,15 @@ class Walk:
         precision: str,
         progress: bool,
     ) -> None:
-        self.kernel, self._module, self._progress = kernel, module, progress
+        self.kernel, self._progress = kernel, progress
+        self._module_name = module.__name__  # modules cannot be pickled
         self.theta, self.degree, self.leaf_size = theta, degree, leaf_size
         self._dtype: Any = np.dtype(precision).type
         self._notes: np.ndarray | None = None
+
+    @property
+    def _module(self) -> Any:
+        return sys.modules[self._module_name]
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M); the arrays are kept, and permuted."""
@@ -73,10 +76,13 @@ class Walk:
         batches = -(-len(values) // BATCH_SIZE)
         notes = self._notes = np.zeros((batches, NOTES), np.int64)
         if len(strengths) and len(values):
-            with self.seconds.stage("weights"), _threads_for(len(strengths)):
+            # No more threads than batches of points: a sum of 76 points took 0.19 ms on one and
+            # 10 ms on two while another process computed.
+            most = -(-len(strengths) // BATCH_SIZE)
+            with self.seconds.stage("weights"), Threads(most=most) as threads:
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
-                load_weights(self.kernel, strengths, self.source_order, weights)
-                self._module.update(self._expansion, self._tree, self.sources, weights)
+                load_weights(self.kernel, strengths, self.source_order, weights, threads)
+                self._module.update(self._expansion, self._tree, self.sources, weights, threads)
             like = np.empty(0, self._dtype)
 
             def evaluate(some: slice) -> None:
@@ -100,6 +106,11 @@ class Walk:
                 threads(evaluate, batches, 1, progress=True)
             self._divide_walk(notes)
         return values
+
+    @property
+    def effort(self) -> float:
+        """What the last sum took, in pairs."""
+        return 0.0 if self._notes is None else float(self._notes[:, [NEAR_PAIRS, FAR_PAIRS]].sum())
 
     def info(self) -> dict[str, Any]:
         """Return parameters, the size of the tree, pairs of the last sum and bytes held."""
@@ -127,17 +138,3 @@ class Walk:
         for name, column in (("near", NEAR_TICKS), ("far", FAR_TICKS)):
             self.seconds[name] = per_tick * float(ticks[column])
             self.seconds["walk"] -= self.seconds[name]
-
-
-@contextmanager
-def _threads_for(points: int) -> Iterator[None]:
-    """Wake no more threads than there are batches of points.
-
-    A sum of 76 points took 0.19 ms on one thread and 10 ms on two while another process computed.
-    """
-    threads = numba.get_num_threads()
-    numba.set_num_threads(min(threads, -(-points // BATCH_SIZE)))
-    try:
-        yield
-    finally:
-        numba.set_num_threads(threads)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
+import threading
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 from threadpoolctl import ThreadpoolController
 
 from treecode.fmm import passes
@@ -18,6 +16,7 @@ from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_trans
 from treecode.fmm.store import get_level
 from treecode.fmm.symmetry import scale_powers
 from treecode.kernels.base import MEMBERS, Kernel
+from treecode.memory import memory_limit
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -137,10 +136,10 @@ class Multipole:
         self._done = True
         if self._tree is None:
             return values
-        with _blas_of_one_thread(), Threads(self._progress) as threads:
+        with _blas_of_one_thread, Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
                 weights = np.empty((self.kernel.weight_size, len(strengths)))
-                load_weights(self.kernel, strengths, self.source_order, weights)
+                load_weights(self.kernel, strengths, self.source_order, weights, threads)
                 # A power of two: singles hold nothing below 1e-38, nor above 1e38.
                 unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
                 weights /= unit
@@ -157,6 +156,12 @@ class Multipole:
                 self._evaluate(self._tree, inner, values, threads)
                 values *= unit
         return values
+
+    @property
+    def effort(self) -> float:
+        """What the last sum took, in near pairs."""
+        cubes = 0 if self._tree is None else len(self._tree.level)
+        return float(self._pairs[0] + self._box_cost * cubes)
 
     def info(self) -> dict[str, Any]:
         """Return parameters, the size of the tree, pairs of the last sum and bytes held."""
@@ -264,7 +269,7 @@ class Multipole:
                 self.kernel, half, _SAFETY * self.tolerance, self.degree, self._dtype
             )
 
-        with _blas_of_one_thread(), Threads() as threads:
+        with _blas_of_one_thread, Threads() as threads:
             threads(get, len(sizes), 1)
         if powers is not None:
             levels = {half: levels[1.0].resized(half, powers) for half in halves}
@@ -278,7 +283,7 @@ class Multipole:
 
     def _require_memory(self, sizes: int) -> None:
         """Refuse operators that do not fit; estimated, as building them can take minutes."""
-        allowed = _MEMORY * psutil.virtual_memory().total / (sizes + _BUILDING)
+        allowed = _MEMORY * memory_limit() / (sizes + _BUILDING)
         per_rank2 = 35.0 * np.dtype(self._dtype).itemsize
         if per_rank2 * _rank(self.kernel, _SAFETY * self.tolerance) ** 2 > allowed:
             # Ranks are in proportion to the square of the digits.
@@ -570,13 +575,32 @@ def _box_cost(kernel: Kernel, tolerance: float, single: bool) -> float:
     return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
 
+class _OneThread:
+    """A context in which BLAS has one thread: products of a chunk are too small to be shared.
+
+    The number is that of the process. Of those who ask for it at the same time the last one out
+    restores it; were it each, the first one's number would be lost, and BLAS left with one thread.
+    """
+
+    def __init__(self) -> None:
+        self._lock, self._users = threading.Lock(), 0
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._users:
+                self._limit = _blas().limit(limits=1, user_api="blas")
+            self._users += 1
+
+    def __exit__(self, *exception: Any) -> None:
+        with self._lock:
+            self._users -= 1
+            if not self._users:
+                self._limit.restore_original_limits()
+
+
+_blas_of_one_thread = _OneThread()
+
+
 @cache
 def _blas() -> ThreadpoolController:
     return ThreadpoolController()
-
-
-@contextmanager
-def _blas_of_one_thread() -> Iterator[None]:
-    """Leave the threads to `Threads`: products of a chunk are too small to be shared."""
-    with _blas().limit(limits=1, user_api="blas"):
-        yield

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from treecode._jit import compiled, inlined, serial_driver, wide_vectors
+from treecode._jit import Driver, compiled, inlined, wide_vectors
 from treecode._lanes import EIGHT, lane_count, load, load_eight, store, store_eight
 from treecode.fmm.octree import cell_at
 from treecode.fmm.symmetry import find_units
@@ -296,7 +296,7 @@ def _gather(points, weights, low, high, shift, at, near, near_weights):
     return at
 
 
-@serial_driver
+@Driver
 def near_field(
     kernel, points, weights, source, nodes, node_weights, middles, slot, begin, entries, targets,
     ranges, centers, order, like, values, pairs,
@@ -389,7 +389,7 @@ def near_field(
                 values[order[low + i], c] = out[c, i]
 
 
-@serial_driver
+@Driver
 def coarse_field(kernel, points, weights, source, begin, entries, nodes, centers, out):
     """Sum over sources of larger leaves at the nodes of some boxes.
 
@@ -412,7 +412,7 @@ def coarse_field(kernel, points, weights, source, begin, entries, nodes, centers
             accumulate(kernel, nodes, 0, out.shape[2], near, near_weights, 0, high - low, out[box])
 
 
-@serial_driver
+@Driver
 def _evaluate_few(kernel, sources, weights, out):
     target = np.zeros((3, 1), sources.dtype)
     accumulate_row(kernel, target, 0, sources, weights, sources.shape[1] - 64, out)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from treecode._jit import serial_driver
+from treecode._jit import Driver
 from treecode.kernels.base import Kernel
 from treecode.pairs import accumulate
 
@@ -62,7 +62,7 @@ def tabulate(kernel: Kernel, points: np.ndarray) -> np.ndarray:
     return out.transpose(2, 1, 0)
 
 
-@serial_driver
+@Driver
 def _tabulate(kernel, points, origin, units, out):
     for c in range(out.shape[0]):
         accumulate(
@@ -139,17 +139,25 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
     Raises
     ------
     ValueError
-        If a reflection does more than change signs of components.
+        If a reflection does more than change signs of components, the kernel vanishes at a
+        distance, or a weight does nothing or a value is always zero.
     """
     lengths = half * 2.0 ** np.arange(0.0, 60.0, 4.0)
     units = [np.outer(*find_units(kernel, length)[:2]) for length in lengths]
 
     def sample(moved: np.ndarray) -> np.ndarray:
         pairs = zip(lengths, units, strict=True)
-        tables = (tabulate(kernel, length * moved) * unit for length, unit in pairs)
+        tables = [tabulate(kernel, length * moved) * unit for length, unit in pairs]
+        if not all(table.any() for table in tables):
+            _refuse(kernel, "that vanishes at a distance", "it compresses what is far")
         return np.concatenate([table / np.abs(table).max() for table in tables])
 
     table = sample(_POINTS)
+    for axis, what in ((1, "value_size"), (2, "weight_size")):
+        used = table.any(axis=tuple({0, 1, 2} - {axis}))
+        if not used.all():
+            which = f"number {int(np.argmin(used))} of its {what} is always without effect"
+            _refuse(kernel, f"of which {which}", "leave it out")
     parity = [
         _reflected(kernel, table, sample(np.where(np.arange(3)[:, None] == d, -_POINTS, _POINTS)))
         for d in range(3)
@@ -181,11 +189,18 @@ def _reflected(
     """Return the signs of values and sources that a reflection changes."""
     signs = _split_signs(table, mirrored)
     if np.abs(mirrored - np.outer(*signs) * table).max() > _SAME:
-        raise ValueError(
-            "backend must be 'kitc' or 'direct' for a kernel that is not isotropic: "
-            f"'fmm' needs components that a reflection leaves alone or negates, got {kernel!r}"
+        _refuse(
+            kernel,
+            "that is not isotropic",
+            "it needs components that a reflection leaves alone or negates",
         )
     return signs
+
+
+def _refuse(kernel: Kernel, which: str, why: str) -> NoReturn:
+    raise ValueError(
+        f"backend must be 'kitc' or 'direct' for a kernel {which}, not 'fmm': {why}; got {kernel!r}"
+    )
 
 
 def _permuted(table: np.ndarray, moved: np.ndarray) -> tuple[tuple, tuple] | None:

@@ -36,11 +36,16 @@ class Kernel(Protocol):
         Components of the linear weights w that `pair` takes.
     value_size : int
         Components of the sum.
+    value_lengths : tuple of `value_size` numbers
+        Equal for components of one unit, whose errors are measured together: with lengths L times
+        larger component i is ``L**value_lengths[i]`` times smaller, beside the others.
+        (1, 1, 1, 2, 2, 2) for velocities and angular velocities.
     """
 
     strength_size: int
     weight_size: int
     value_size: int
+    value_lengths: tuple[float, ...]
 
     def weights(self, q: tuple[float, ...]) -> tuple[float, ...]:
         """Turn one row of strengths into weights, constant factors included."""
@@ -143,3 +148,29 @@ def _(array, j, like):
     if last == 0:
         return lambda array, j, like: (array[0, j],)
     return lambda array, j, like: (*_column(array, j, like[1:]), array[last, j])
+
+
+def require_counts(kernel: Any) -> None:
+    """Refuse a kernel whose methods return other numbers of values than its sizes say.
+
+    Compiled loops read as many as there should be. What only compiled code can do is left to it.
+    """
+    numbers = [0.3 + 0.1 * i for i in range(max(3, kernel.strength_size, kernel.weight_size))]
+    calls = {
+        "weights": ("weight_size", (tuple(numbers[: kernel.strength_size]),)),
+        "pair": (
+            "value_size",
+            (*numbers[:3], tuple(numbers[: kernel.weight_size]), (0.0,) * kernel.value_size),
+        ),
+    }
+    for method, (size, arguments) in calls.items():
+        try:
+            result = getattr(kernel, method)(*arguments)
+        except Exception:  # compiling says more
+            continue
+        count = getattr(kernel, size)
+        if not isinstance(result, tuple) or len(result) != count:
+            raise TypeError(
+                f"{method} of kernel {type(kernel).__qualname__} must return a tuple of "
+                f"length {size} = {count}, got {result!r}"
+            )

@@ -1,0 +1,47 @@
+"""One caller at a time, for objects whose work arrays are their own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+class Lock:
+    """A re-entrant lock; a copy of it, pickled or not, is a new one."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *exception: Any) -> None:
+        self._lock.release()
+
+    def __reduce__(self) -> tuple[type[Lock], tuple[()]]:
+        return Lock, ()
+
+
+class Locked(Protocol):
+    """What has a lock."""
+
+    lock: Lock
+
+
+_L = TypeVar("_L", bound=Locked)
+
+
+def one_at_a_time(method: Callable[Concatenate[_L, _P], _R]) -> Callable[Concatenate[_L, _P], _R]:
+    """Let other threads wait until a method returns."""
+
+    @wraps(method)
+    def alone(self: _L, /, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        with self.lock:
+            return method(self, *arguments, **options)
+
+    return alone
