@@ -48,9 +48,8 @@ ALLOWED = {
         "treecode.pairs",
     },
     "treecode.fmm.multipole": {
-        "treecode.fmm", "treecode.kernels.base", "treecode.memory", "treecode.threads",
-        "treecode.timing",
-        "treecode.traversal",
+        "treecode._jit", "treecode.fmm", "treecode.kernels.base", "treecode.memory",
+        "treecode.threads", "treecode.timing", "treecode.traversal",
     },
     "treecode.fmm": set(),
     "treecode.auto": {

@@ -1,6 +1,8 @@
 """Compiled code and operators on disk: never needed, never stale."""
 
+import enum
 import json
+import math
 import os
 import re
 import subprocess
@@ -202,6 +204,7 @@ class Table(NamedTuple):
     values: np.ndarray
 
 
+@pytest.mark.interpreted
 def test_arrays_count_in_full():
     """Printed, an array is rounded, and its middle left out."""
     one, other, close = np.arange(3000.0), np.arange(3000.0), np.arange(3000.0)
@@ -211,6 +214,7 @@ def test_arrays_count_in_full():
     assert len({fingerprint(Table(values)) for values in (one, other, close)}) == 3
 
 
+@pytest.mark.interpreted
 def test_what_may_differ_elsewhere_has_no_fingerprint():
     for value in (object(), np.array([object()]), (1, [object()]), sys.stdout):
         assert fingerprint(value) is None
@@ -227,10 +231,43 @@ def make(factor, table=((1, 2), 3)):
     return function
 
 
+@pytest.mark.interpreted
 def test_closures_and_defaults_count():
     assert fingerprint(make(1.0)) == fingerprint(make(1.0))
     assert fingerprint(make(1.0)) != fingerprint(make(2.0))
     assert fingerprint(make) == fingerprint(make)
+
+
+class Parts(enum.Enum):
+    SMALL = 1.0
+    LARGE = 2.0
+
+
+class Scale:
+    factor = 2.0
+    other = object()  # not read
+
+
+def all_sorts(x, *, shift=1j):
+    if x in {"one", "two"}:
+        return Parts.LARGE.value * Scale.factor + np.sqrt(x) + math.pi * np.float64(3.0) + shift
+    return (lambda y: y * os.path.sep)(x)
+
+
+@pytest.mark.interpreted
+def test_what_a_function_reads_counts(monkeypatch):
+    """Classes and modules by what is read of them, known packages by name."""
+    before = fingerprint(all_sorts)
+    assert before == fingerprint(all_sorts) is not None
+    assert fingerprint({"a": {1, 2}}, [frozenset("ab")]) == fingerprint({"a": {2, 1}}, [{"b", "a"}])
+    monkeypatch.setattr(Scale, "other", object())
+    assert fingerprint(all_sorts) == before
+    monkeypatch.setattr(Scale, "factor", 3.0)
+    assert fingerprint(all_sorts) != before
+    monkeypatch.undo()
+    monkeypatch.setattr(os.path, "sep", "|")
+    assert fingerprint(all_sorts) != before
+    assert fingerprint(lambda: Scale.other) is None
 
 
 # What a kernel can be made of, each in a file of its own; one number in each is edited.
@@ -369,6 +406,7 @@ def test_an_edit_is_seen_wherever_it_is_made(tmp_path):
 GLOBAL = 1.0
 
 
+@pytest.mark.interpreted
 def test_a_global_that_changes_in_the_process_is_refused(monkeypatch):
     class Reads(tc.Stokeslet):
         def weights(self, q):

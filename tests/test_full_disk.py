@@ -91,7 +91,8 @@ def test_disk_that_fills_and_is_freed(disk, whole, times):
         assert run("resume", directory).returncode == 0
         assert_equal_runs(whole, directory)
         shutil.rmtree(directory)
-    assert len(stopped) > 1, f"only {stopped} found no room"
+    if times == 100:
+        assert len(stopped) > 2, f"only {stopped} found no room"
 
 
 LIMITED = """

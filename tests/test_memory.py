@@ -5,6 +5,7 @@ import pytest
 
 from treecode import memory
 
+pytestmark = pytest.mark.interpreted
 MACHINE = psutil.virtual_memory().total
 
 

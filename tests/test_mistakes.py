@@ -11,6 +11,7 @@ import pytest
 import treecode as tc
 from treecode._jit import Driver
 from treecode._lanes import load, store
+from treecode._mistakes import explain
 from treecode.kernels.base import pair, weights, zero
 
 
@@ -112,6 +113,26 @@ def test_a_few_lines(kernel, line, reason, remedy):
     assert source[int(at[1]) - 1].strip() == at[2]
     assert len(message) < 500
     assert refusal.value.__suppress_context__
+
+
+@pytest.mark.interpreted
+def test_the_innermost_reason_and_the_users_line():
+    """What numba says, in short: its own lines and those of this package do not count."""
+    ours = Path(tc.__file__).with_name("pairs.py")
+    error = f"""Failed in nopython mode pipeline (step: nopython frontend)
+    No implementation of function Function(<function pair at 0x7f>) found for signature:
+     >>> pair(Sine(float64 x 1), lanes of doubles)
+      TypingError: Failed in nopython mode pipeline (step: nopython frontend)
+      No implementation of function Function(<built-in function sin>) found for signature:
+       >>> sin(lanes of doubles)
+      During: typing of call at {__file__} (1)
+    During: typing of call at {ours} (47)
+    """
+    lines = explain(Sine(), error).splitlines()
+    assert lines[0] == "kernel Sine cannot be compiled: there is no sin(lanes of doubles)"
+    assert lines[1] == f"  {__file__}, line 1: {Path(__file__).read_text().splitlines()[0]}"
+    named = explain(Sine(), "Failed in nopython mode\n\nNameError: name 'a' is not defined")
+    assert named.startswith("kernel Sine cannot be compiled: NameError: name 'a' is not defined\n")
 
 
 def test_a_sum_says_it_too():

@@ -80,6 +80,35 @@ print("same")
     assert run(program, tmp_path, NUMBA_NUM_THREADS="2") == "same\n"
 
 
+@pytest.mark.parametrize("backend", ["kitc", "fmm"])
+def test_a_fork_while_another_thread_has_the_plan(backend, tmp_path):
+    """The child has not the thread that would give it back."""
+    program = f"""
+plan = tc.Plan(tc.RegularizedStokeslet(epsilon=0.01), {backend!r}, **BACKENDS[{backend!r}])
+expected = plan.set_points(points).execute(forces).tobytes()
+going = True
+def keep_on():
+    while going:
+        assert plan.execute(forces).tobytes() == expected
+with ThreadPoolExecutor(1) as pool:
+    other = pool.submit(keep_on)
+    for _ in range(20):
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if plan.execute(forces).tobytes() == expected else 1)
+        assert os.waitpid(child, 0)[1] == 0
+    going = False
+    other.result()
+with plan.lock:  # held by the thread that forks, it stays so
+    child = os.fork()
+if child == 0:
+    os._exit(0 if plan.execute(forces).tobytes() == expected else 1)
+assert os.waitpid(child, 0)[1] == 0
+print("same")
+"""
+    assert run(program, tmp_path, NUMBA_NUM_THREADS="2") == "same\n"
+
+
 def test_a_fork_waits_for_the_compiler(tmp_path):
     """Otherwise the child would wait for ever for a lock that its parent's thread holds."""
     program = """

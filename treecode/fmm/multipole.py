@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+from treecode._jit import free_at_fork
 from treecode.fmm import passes
 from treecode.fmm.octree import Octree, build_octree, direct_lists, root_widths
 from treecode.fmm.operators import CLASSES, OFFSETS, Level, Transfer, make_transfer
@@ -599,6 +600,7 @@ class _OneThread:
 
 
 _blas_of_one_thread = _OneThread()
+free_at_fork(_blas_of_one_thread._lock)
 
 
 @cache
