@@ -37,7 +37,7 @@ beside those of the group they may be off by more.
 
 * The first `execute` chooses a sum and samples its error, as a mean square and two of its standard
   deviations, at 400 targets, or 50 of each group. A sum that misses is done again, more accurately.
-* Every later `execute` as long as two million pairs looks at up to 16 targets, three at least of a
+* Every later `execute` as long as ten million pairs looks at up to 16 targets, three at least of a
   group. If all but the worst of a group are off by twice `tol`, the error is sampled and, if it is
   too large, another sum chosen. Shorter sums are not watched: `refine` samples them.
 * What cannot be kept is refused with a `ToleranceError`; `CancellationError` where direct sums in

@@ -53,7 +53,7 @@ def rods(*lines, **options):
         ("intrinsic_curvature", lambda: rods(intrinsic_curvature=masked([0.0, 1.0, 2.0]))),
         ("beat", lambda: rods(beat=lambda s, t: masked(np.zeros((len(s), 3))))),
         ("shift", lambda: mrs.geometry.straight(1.0, 6).moved(masked([0.0, 1.0, 2.0]))),
-        ("constant", lambda: mrs.flows.QuadraticFlow(masked([0.0, 1.0, 2.0]))),
+        ("gradient", lambda: mrs.flows.QuadraticFlow(gradient=masked(np.eye(3)))),
         (
             "centerlines",
             lambda: rods(

@@ -78,6 +78,8 @@ class Parts(NamedTuple):
 
     def squares(self, values: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
         """Return the squares of the norms of parts, (G, U), of values at some targets."""
+        if self.group_count == 1:
+            return np.einsum("ij,ij->j", values, values)[None] @ self.units
         return self.add_up(values**2 @ self.units, rows)
 
     def difference(
@@ -110,6 +112,8 @@ class Parts(NamedTuple):
         beyond the tolerance here is so nearly everywhere.
         """
         peak = largest(exact)
+        if 1e-100 < peak < 1e100:  # squares of all are in range, and need no copy
+            peak = 1.0
         squares = ((values[rows] - exact) / peak) ** 2 @ self.units
         groups = self.groups[rows]
         worst = np.zeros((self.group_count, self.units.shape[1]))
@@ -119,7 +123,7 @@ class Parts(NamedTuple):
             drawn - 1, 1
         )
         error = more * (self.add_up(squares, rows) - worst) * (drawn >= _FEWEST)
-        norm = self.squares(values / peak)
+        norm = self.squares(values if peak == 1.0 else values / peak)
         return not (error > tolerance**2 * norm).any()
 
     def sampled_error(

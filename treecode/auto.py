@@ -35,7 +35,7 @@ from treecode.fmm.multipole import Multipole, precision_for
 from treecode.kernels.base import Kernel
 from treecode.pairs import sum_few
 from treecode.threads import Threads
-from treecode.traversal import acceptance, load_weights
+from treecode.traversal import acceptance
 from treecode.tree import Tree
 
 WALKS: dict[str, ModuleType] = {"direct": direct, "kitc": kitc, "taylor": taylor}
@@ -50,10 +50,10 @@ _PILOTS = 64  # targets at which errors are looked at before a sum,
 _FEW_PILOTS = 16  # more if fewer than so many would be of a group
 _SAMPLES = 400  # and after it
 WATCHED = 16  # at every later sum,
-WATCHED_FROM = 2_000_000  # if it takes as long as so many pairs,
+WATCHED_FROM = 10_000_000  # if it takes as long as so many pairs,
 _WATCHED_SHARE = 200  # and so many times as long as to watch them
 _ASTRAY = 2.0  # times the tolerance, from which errors there are looked into
-_PIECE = 200_000  # pairs, for which a thread is woken
+_PIECE = 1_000_000  # pairs, for which a thread is woken
 _COUNTED = 40_000  # sources among which pairs are counted
 _MARGIN = 1.25  # by which errors may be larger than expected
 _SUMS = 300  # that share the operators of "fmm", and the choice
@@ -225,7 +225,7 @@ class Search:
     def seems_kept(
         self,
         done: Walk | Multipole,
-        strengths: np.ndarray,
+        weights: np.ndarray,
         values: np.ndarray,
         parts: Parts,
         rows: np.ndarray,
@@ -233,13 +233,13 @@ class Search:
     ) -> bool:
         """Look at the targets `rows`, which are at `points`, (3, n): a hundredth of a long sum.
 
-        A sum that is kept while points and strengths change may lose its accuracy.
+        A sum that is kept while points and strengths change may lose its accuracy. `weights` and
+        `values` are what it has returned.
         """
         count = done.sources.shape[1]
         few = min(len(rows), int(done.effort / (_WATCHED_SHARE * max(1, count))))
         if done.effort < WATCHED_FROM or not few:
             return True
-        weights = np.empty((self.kernel.weight_size, count))
         padded = np.zeros((3, few + LANES - 1))
         padded[:, :few] = points[:, :few]
         exact = np.zeros((self.kernel.value_size, few))
@@ -248,7 +248,6 @@ class Search:
             sum_few(self.kernel, padded, some.start, some.stop, done.sources, weights, exact)
 
         with Threads(most=1 + few * count // _PIECE) as threads:
-            load_weights(self.kernel, strengths, done.source_order, weights, threads)
             threads(sum_some, few, 1)
         return parts.seem_within(_ASTRAY * self.tolerance, values, exact.T, rows[:few])
 

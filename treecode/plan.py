@@ -242,8 +242,9 @@ class Plan:
             return np.zeros((len(parts.groups), self.kernel.value_size))  # nothing to choose by
         if self._sum is None:
             return self._choose(self._search, strengths)
-        values = check.finite("the sum", self._sum.execute(strengths))
-        if self._search and not self._seems_kept(self._search, strengths, values, parts):
+        values, weights = self._sum.run(strengths)
+        check.finite("the sum", values)
+        if self._search and not self._seems_kept(self._search, strengths, weights, values, parts):
             return self._choose(self._search, strengths)
         return values
 
@@ -279,7 +280,12 @@ class Plan:
         return True
 
     def _seems_kept(
-        self, search: auto.Search, strengths: np.ndarray, values: np.ndarray, parts: Parts
+        self,
+        search: auto.Search,
+        strengths: np.ndarray,
+        weights: np.ndarray,
+        values: np.ndarray,
+        parts: Parts,
     ) -> bool:
         """Tell from a few targets, and in doubt from a sample, whether `tol` is kept."""
         assert self._sum is not None
@@ -287,7 +293,7 @@ class Plan:
             if not (strengths.any() and len(parts.groups)):
                 return True
         elif auto.is_exact(self._choice) or search.seems_kept(
-            self._sum, strengths, values, parts, self._watched, self._at_watched
+            self._sum, weights, values, parts, self._watched, self._at_watched
         ):
             return True
         if search.bound(self._sum, strengths, values, parts) > search.tolerance:

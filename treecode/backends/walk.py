@@ -72,7 +72,12 @@ class Walk:
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
+        return self.run(strengths)[0]
+
+    def run(self, strengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the sum, and the linear weights, (weight_size, N), in the order of `sources`."""
         values = np.zeros((self.targets.shape[1], self.kernel.value_size))
+        weights = np.empty((self.kernel.weight_size, len(strengths)))
         batches = -(-len(values) // BATCH_SIZE)
         notes = self._notes = np.zeros((batches, NOTES), np.int64)
         if len(strengths) and len(values):
@@ -80,7 +85,6 @@ class Walk:
             # 10 ms on two while another process computed.
             most = -(-len(strengths) // BATCH_SIZE)
             with self.seconds.stage("weights"), Threads(most=most) as threads:
-                weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights, threads)
                 self._module.update(self._expansion, self._tree, self.sources, weights, threads)
             like = np.empty(0, self._dtype)
@@ -105,7 +109,7 @@ class Walk:
             with self.seconds.stage("walk"), Threads(self._progress, batches) as threads:
                 threads(evaluate, batches, 1, progress=True)
             self._divide_walk(notes)
-        return values
+        return values, weights
 
     @property
     def effort(self) -> float:

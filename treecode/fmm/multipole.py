@@ -132,14 +132,18 @@ class Multipole:
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
+        return self.run(strengths)[0]
+
+    def run(self, strengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the sum, and the linear weights, (weight_size, N), in the order of `sources`."""
+        weights = np.empty((self.kernel.weight_size, len(strengths)))
         values = np.zeros((self.targets.shape[1], self.kernel.value_size))
         self._pairs[:] = 0
         self._done = True
         if self._tree is None:
-            return values
+            return values, weights
         with _blas_of_one_thread, Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
-                weights = np.empty((self.kernel.weight_size, len(strengths)))
                 load_weights(self.kernel, strengths, self.source_order, weights, threads)
                 # A power of two: singles hold nothing below 1e-38, nor above 1e38.
                 unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
@@ -156,7 +160,7 @@ class Multipole:
             with self.seconds.stage("far"):
                 self._evaluate(self._tree, inner, values, threads)
                 values *= unit
-        return values
+        return values, weights * unit
 
     @property
     def effort(self) -> float:
