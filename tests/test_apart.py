@@ -183,9 +183,9 @@ def shell(n, radius):
 def dense(sim, targets):
     """Return the velocity at targets of all swimmers of a simulation: each blob size directly."""
     now, out = sim.evaluate(0.0, sim.state), 0.0
-    count = len(sim.body_epsilons(sim.bodies[0]))
-    for epsilon in np.unique(sim.body_epsilons(sim.bodies[0])):
-        own = np.flatnonzero(sim.body_epsilons(sim.bodies[0])[:count] == epsilon)
+    epsilons = sim.constant_fields(sim.bodies[0])[0]["epsilon"]
+    for epsilon in np.unique(epsilons):
+        own = np.flatnonzero(epsilons == epsilon)
         kernel = tc.RegularizedStokeslet(float(epsilon))
         some = now.points[own], now.loads[own, :3], targets
         out = out + tc.evaluate(kernel, *some, backend="direct")

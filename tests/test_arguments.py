@@ -351,7 +351,7 @@ def test_a_text_stands_for_the_name_of_a_backend():
 def test_small_versions_have_rods_thinner_than_their_helices(name, radius):
     scene = mrs.scenario.make(name, {}, quick=True)
     (body,) = (sim := scene.simulation()).bodies
-    assert sim.body_epsilons(body).max() < 0.9 * radius(scene)
+    assert sim.constant_fields(body)[0]["epsilon"].max() < 0.9 * radius(scene)
 
 
 def test_a_checked_number_says_what_its_tolerance_is_of():

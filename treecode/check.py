@@ -95,7 +95,8 @@ def rows(name: str, value: Any, columns: int, count: int | None = None) -> np.nd
     expected = array.shape[0] if array.ndim and count is None else count
     if array.shape != (expected, columns):
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
-    array = np.ascontiguousarray(array, dtype=np.float64)
+    with np.errstate(over="ignore"):  # of wider floats; refused below
+        array = np.ascontiguousarray(array, dtype=np.float64)
     if not np.isfinite(array).all():
         row = int(np.argmax(~np.isfinite(array).all(axis=1)))
         raise ValueError(f"{name} must be finite, got {array[row]} in row {row}")
