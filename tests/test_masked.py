@@ -55,7 +55,7 @@ def rods(*lines, **options):
         ("shift", lambda: mrs.geometry.straight(1.0, 6).moved(masked([0.0, 1.0, 2.0]))),
         ("gradient", lambda: mrs.flows.QuadraticFlow(gradient=masked(np.eye(3)))),
         (
-            "centerlines",
+            r"centerlines\[0\]\.nodes",
             lambda: rods(
                 mrs.geometry.Centerline(
                     masked(mrs.geometry.straight(1.0, 5).nodes),

@@ -31,6 +31,7 @@ SMALLER = {
         "--t-end 20": "--t-end 0.2",
         "swimmer_suspension --profile": "swimmer_suspension --profile --quick --set t_end=0.1",
         "--resolution 20": "--resolution 5",
+        "--frame 10:60:2": "--frame 0:3:2",
         "t_end = 2.0": "t_end = 0.1",
         "sim.run(2.0)": "sim.run(0.002)",
         "100_000": "3_000",

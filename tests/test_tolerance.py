@@ -10,6 +10,7 @@ from tests.cases import oracle
 from tests.cases.rotne_prager import RotnePrager
 from tests.cases.tolerance import SETS, Case, achieved, solve, strengths_of
 from treecode import auto
+from treecode.accuracy import Parts
 
 # --- auto -----------------------------------------------------------------------------------------
 
@@ -65,7 +66,8 @@ def test_room_is_used(monkeypatch):
     def chosen(times, sums):
         monkeypatch.setattr(auto.Model, "error", lambda *args: times * expected(*args))
         search = auto.Search(KERNEL, ("kitc",), 1e-4, leaf_size=100, sums=sums)
-        choice, _, values = search(points.T.copy(), None, q)
+        parts = Parts.of(KERNEL, len(points), None)
+        choice, _, values = search(points.T.copy(), None, q, parts)
         assert achieved(KERNEL, points, q, values) <= 1e-4
         return choice
 

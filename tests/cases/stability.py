@@ -359,7 +359,7 @@ def scales():
             points[0] = 1.0
             refused += _refused(
                 partial(tc.evaluate, kernel, points * scale, strengths, backend=backend),
-                "sources",
+                "points",
                 "1e+60",
             )
         asked = f"scale {scale:g}: refusals that name the points and the bound"

@@ -254,8 +254,9 @@ class Multipole:
                 break
         halves = [tree.half(level) for level in range(self._first, tree.depth + 1)]
         if (self._first, halves) != self._served:
-            self._served = self._first, halves
+            self._served = 0, []  # nothing is, if building fails
             self._get_levels(halves)
+            self._served = self._first, halves
 
     def _get_levels(self, halves: list[float]) -> None:
         """Get the operators for cubes of some sizes, each half the one before."""
