@@ -519,10 +519,12 @@ class Simulation:
 
         A node is compared with the mean motion of its piece, since a whole rod may be carried far.
         """
-        moved = state.positions - self.state.positions
         for part in self._parts:
-            own, length = moved[part.positions], part.body.length_scale
-            if not part.body.has_force or np.abs(own).max(initial=0.0) <= 0.5 * length:
+            if not part.body.has_force:
+                continue
+            own = state.positions[part.positions] - self.state.positions[part.positions]
+            length = part.body.length_scale
+            if np.abs(own).max(initial=0.0) <= 0.5 * length:
                 continue
             pieces = part.body.pieces()
             count = np.bincount(pieces)[:, None]

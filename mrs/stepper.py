@@ -153,7 +153,9 @@ class Stepper:
         retried = False
         while True:
             if retried or self.steps >= self._renew_at:
-                small = _filled(problem.perturbation, _SMALL * z, _SMALL * interval * rates)
+                small = problem.perturbation
+                if not small.all():
+                    small = _filled(small, _SMALL * z, _SMALL * interval * rates)
                 self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
             h = self._size(interval, rates, problem.error_scale)
             self.taken = h
@@ -162,7 +164,9 @@ class Stepper:
             new, error = self.method.step(
                 f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
             )
-            unit = _filled(problem.error_scale, new - z, h * rates)
+            unit = problem.error_scale
+            if not unit.all():
+                unit = _filled(unit, new - z, h * rates)
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 break
@@ -250,8 +254,6 @@ class Stepper:
 def _filled(scale: np.ndarray, *displacements: np.ndarray) -> np.ndarray:
     """Return `scale`, and where it is 0 the largest of the displacements there."""
     without = scale[:, 0] == 0.0
-    if not without.any():
-        return scale
     largest = max(float(np.abs(moved[without]).max()) for moved in displacements)
     return np.where(scale == 0.0, largest or 1.0, scale)  # nothing moves: any unit will do
 
