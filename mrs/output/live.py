@@ -37,7 +37,7 @@ def append(
     """
     path = Path(path)
     files = read_pvd(path)
-    frame = next_frame(path)
+    frame = _frame_after(path, files)
     with telling(frame):
         frame.parent.mkdir(parents=True, exist_ok=True)
     write_xml(frame, polydata(topology, points, point_data, cell_data))
@@ -52,7 +52,11 @@ def next_frame(path: Path) -> Path:
     path : Path
         Of the list, or the place where one will be.
     """
-    listed = [name for _, name in read_pvd(path)[-1:]]
+    return _frame_after(path, read_pvd(path))
+
+
+def _frame_after(path: Path, files: list[tuple[float, str]]) -> Path:
+    listed = [name for _, name in files[-1:]]
     frames = listed or (path.parent / path.stem).glob("[0-9]*.vtp")
     number = max((int(Path(frame).stem) + 1 for frame in frames), default=0)
     return path.parent / path.stem / f"{number:06d}.vtp"
