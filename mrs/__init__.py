@@ -1,52 +1,84 @@
 """Elastic rods and swimmers in very viscous fluid, by the method of regularized Stokeslets."""
 
-from mrs import flows, geometry, rotations
-from mrs.bodies import Body
-from mrs.flows import Flow
-from mrs.geometry import Centerline
-from mrs.mobility import Backend
+from mrs import rotations
+from mrs.bodies import (
+    BODIES,
+    Body,
+    Drive,
+    Rods,
+    Swimmers,
+    Tracers,
+    TravellingWave,
+    geometry,
+    lattice_suspension,
+    random_suspension,
+)
+from mrs.bodies.geometry import Centerline
+from mrs.fluid import Backend, Flow, Fluid, flows
+from mrs.forces import FORCES, Force, Steric
+from mrs.output.formats import FORMATS
+from mrs.output.frame_files import BodyFile
+from mrs.output.options import Output
+from mrs.output.trackers import Tracker
 from mrs.profile import Profile
-from mrs.rods import Drive, Rods, TravellingWave
-from mrs.runs import restart, resume
-from mrs.scenario import Check, Scenario, ScenarioError
-from mrs.simulation import Evaluation, Fluid, Simulation, SimulationError
-from mrs.state import State
-from mrs.stepper import Integrator
-from mrs.steric import Steric
-from mrs.swimmers import Swimmers, lattice_suspension, random_suspension
-from mrs.tracers import Tracers
-from mrs.trackers import Output, Tracker
+from mrs.run.failures import SimulationError
+from mrs.run.info import info
+from mrs.run.resuming import restart, resume
+from mrs.run.scenario import Check, Scenario, ScenarioError
+from mrs.run.simulation import Simulation
+from mrs.run.velocity import frame_velocity, write_field
+from mrs.scene import Evaluation, Scene
+from mrs.time.integrators import METHODS as INTEGRATORS
+from mrs.time.interrupts import Interrupt, Interval, Moment, Never, Steps, WallTime
+from mrs.time.state import State
+from mrs.time.stepper import Integrator
 from treecode.version import __version__
 
 __all__ = [
+    "BODIES",
+    "FORCES",
+    "FORMATS",
+    "INTEGRATORS",
     "Backend",
     "Body",
+    "BodyFile",
     "Centerline",
     "Check",
     "Drive",
     "Evaluation",
     "Flow",
     "Fluid",
+    "Force",
     "Integrator",
+    "Interrupt",
+    "Interval",
+    "Moment",
+    "Never",
     "Output",
     "Profile",
     "Rods",
     "Scenario",
     "ScenarioError",
+    "Scene",
     "Simulation",
     "SimulationError",
     "State",
+    "Steps",
     "Steric",
     "Swimmers",
     "Tracers",
     "Tracker",
     "TravellingWave",
+    "WallTime",
     "__version__",
     "flows",
+    "frame_velocity",
     "geometry",
+    "info",
     "lattice_suspension",
     "random_suspension",
     "restart",
     "resume",
     "rotations",
+    "write_field",
 ]

@@ -2,7 +2,7 @@
 
 import sys
 
-from mrs.cli import main
+from mrs.run.cli import main
 
 if __name__ == "__main__":  # not where a process that this one starts imports it again
     sys.exit(main())

@@ -1,176 +1,200 @@
-"""A scene of one's own from a TOML file: its options are the arguments of the Python functions.
-
-scenario = "scene"
-[options.fluid]
-viscosity = 1.0
-epsilon = 0.1
-background = { kind = "shear", rate = 1.0 }
-[[options.rods]]
-shape = { kind = "helix", radius = 0.3, pitch = 3.14, length = 6.0, nodes = 76 }
-origins = [[0, 0, 0], [2, 0, 0]]
-bending = 1.0
-...
-"""
+"""The physics of a scene: from a state to points, loads, motion and rates. It knows no files."""
 
 from __future__ import annotations
 
-import inspect
-import typing
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Annotated, Any, Literal, Union
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, create_model
 
-from mrs import flows, geometry
-from mrs.rods import Drive, Rods, TravellingWave
-from mrs.scenario import Check, Scenario, ScenarioError
-from mrs.simulation import Fluid, Simulation
-from mrs.steric import Steric
-from mrs.swimmers import Swimmers, lattice_suspension, random_suspension
-from mrs.tracers import Tracers
+from mrs import check
+from mrs.bodies import Body
+from mrs.bodies.layout import Layout
+from mrs.fluid import Backend, Fluid, Mobility
+from mrs.forces import Force
+from mrs.profile import Profile
+from mrs.time.state import State
 
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+_PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
 
-
-class _Call(BaseModel):
-    """Arguments of a function."""
-
-    model_config = _STRICT
-
-    def arguments(self) -> dict[str, Any]:
-        """Return those that were given."""
-        return {name: getattr(self, name) for name in self.model_fields_set if name != "kind"}
+Arrays = dict[str, np.ndarray]
 
 
-def _call(
-    function: Callable, kind: str | None = None, leave_out: str = "", **instead: Any
-) -> type[_Call]:
-    """Return a model of a function's arguments.
+class Evaluation(NamedTuple):
+    """All that follows from one state."""
 
-    `instead` has types that say more than the annotations, or pairs of a type and a default.
+    time: float
+    state: State
+    points: np.ndarray
+    """Where forces act and velocities are known, (N, 3)."""
+    loads: np.ndarray
+    """Forces, and torques if any body has them, (N, 3 or 6)."""
+    motion: np.ndarray
+    """Velocities, and angular velocities if any body wants them, (N, 3 or 6)."""
+    rates: np.ndarray
+    """Those of positions and triads, (P + Q, 3)."""
+
+
+class Scene:
+    """Bodies in a viscous fluid, and the forces on them.
+
+    Parameters
+    ----------
+    fluid : Fluid
+    bodies : sequence of Body
+        Their names must differ.
+    forces : sequence of Force, optional
+        Besides the loads of the bodies themselves.
+    backend : Backend, optional
+        How velocities are summed.
+    profile : Profile, optional
+        Where time is counted.
+
+    Attributes
+    ----------
+    layout : Layout
+        The bodies in flat arrays.
+    epsilons : (N,) float64 ndarray
+        Blob sizes; 1 at points without forces.
+    mobility : Mobility
+    error_scale : (P + Q, 1) float64 ndarray
+        Unit of errors of each coordinate; 0 where nothing has a length.
+    perturbation : (P + Q, 1) float64 ndarray
+        A small displacement of each coordinate; 0 likewise.
     """
-    hints = typing.get_type_hints(function.__init__ if inspect.isclass(function) else function)
-    fields: dict[str, Any] = {} if kind is None else {"kind": (Literal[kind], ...)}
-    for name, parameter in inspect.signature(function).parameters.items():
-        default = ... if parameter.default is parameter.empty else parameter.default
-        fields[name] = (instead.pop(name, _data(hints[name])), default)
-        if isinstance(fields[name][0], tuple):
-            fields[name] = fields[name][0]
-    fields.pop(leave_out, None)
-    return create_model(kind or function.__name__, __base__=_Call, **(fields | instead))
 
+    def __init__(
+        self,
+        fluid: Fluid,
+        bodies: Sequence[Body],
+        forces: Sequence[Force] = (),
+        backend: Backend | None = None,
+        profile: Profile | None = None,
+    ) -> None:
+        self.fluid, self.bodies, self.forces = fluid, tuple(bodies), tuple(forces)
+        self.backend = backend or Backend()
+        self.profile = profile or Profile()
+        self.layout = layout = Layout(self.bodies)
+        background = fluid.background
+        spins = layout.has_spin.any()
+        if background is not None and spins and not hasattr(background, "vorticity"):
+            raise ValueError("background must have a vorticity, since it turns the triads of rods")
+        self.epsilons = layout.epsilons(fluid.epsilon)
+        self.mobility = Mobility(
+            fluid.viscosity,
+            self.epsilons,
+            layout.has_force,
+            layout.has_torque,
+            layout.has_spin,
+            layout.numbers,
+            self.backend,
+        )
+        self._set_scales()
+        self._last: Evaluation | None = None
 
-def _data(hint: Any) -> Any:
-    """Return what pydantic looks for: of arrays nothing, which the function itself checks."""
-    is_array = set(typing.get_args(ArrayLike)) <= set(typing.get_args(hint))
-    return Any if is_array else hint
+    def _set_scales(self) -> None:
+        """Set the units of errors, and of perturbations, of the local coordinates."""
+        turns = np.ones(len(self.layout.initial.quaternions))
+        lengths = self.layout.length_scales()
+        largest = max(body.length_scale for body in self.bodies)
+        smallest = self.epsilons[self.layout.has_force].min(initial=max(largest, 0.0))
+        self.error_scale = np.concatenate([lengths, turns])[:, None]
+        small = np.concatenate([np.full(len(lengths), smallest), turns])
+        self.perturbation = _PERTURBATION * small[:, None]
 
+    def evaluate(self, time: float, state: State) -> Evaluation:
+        """Return loads, motion and rates in a state; the last answer is kept."""
+        with self.mobility.lock:
+            last = self._last
+            if last is None or last.time != time or not last.state.equals(state):
+                with self.profile.stage("forces"):
+                    last = self._last = self._evaluate(time, state)
+            return last
 
-def _one_of(*functions: Callable) -> Any:
-    """Return a field that takes the arguments of one of the functions, named by `kind`."""
-    models = tuple(_call(function, function.__name__) for function in functions)
-    return Annotated[Union[models], Field(discriminator="kind")]  # noqa: UP007
+    def rates(self, time: float, state: State) -> np.ndarray:
+        """Return velocities and angular velocities of the coordinates, (P + Q, 3)."""
+        return self.evaluate(time, state).rates
 
+    def forget(self) -> None:
+        """Compute the next evaluation anew, since the sums are done by other methods now."""
+        self._last = None
 
-Shape = _one_of(geometry.straight, geometry.helix, geometry.ring, geometry.at_rest)
-Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
-Suspension = _one_of(random_suspension, lattice_suspension)
-Vectors = list[tuple[float, float, float]]
+    def _evaluate(self, time: float, state: State) -> Evaluation:
+        points = self.layout.points(state)
+        loads = self._loads(time, state, points)
+        if not check.computable(points, loads):  # the stepper rejects the step, or stops
+            lost = np.full_like(loads, np.nan)
+            return Evaluation(
+                time, state, points, loads, lost, self.layout.rates(time, state, lost)
+            )
+        motion = self._sum(points, loads)
+        if self.fluid.background is not None:
+            name = self.layout.point_name
+            with self.profile.stage("background"):
+                motion[:, :3] += self.fluid.flow("velocity", points, time, name)
+                if self.layout.width == 6:
+                    motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, name)
+        return Evaluation(
+            time, state, points, loads, motion, self.layout.rates(time, state, motion)
+        )
 
-FluidOptions: Any = _call(Fluid, background=Background | None)
-RodOptions: Any = _call(
-    Rods,
-    leave_out="centerlines",
-    shape=(Shape, ...),
-    origins=(Vectors, [(0.0, 0.0, 0.0)]),
-    intrinsic_curvature=Literal["initial"] | Vectors | tuple[float, float, float],
-    beat=TravellingWave | None,
-    base=Literal["free", "clamped"] | Drive,
-)
-SwimmerOptions: Any = _call(
-    Swimmers,
-    positions=(Vectors | None, None),
-    orientations=(Vectors | None, None),
-    suspension=(Suspension | None, None),
-)
-TracerOptions: Any = _call(Tracers, positions=Vectors)
+    def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
+        """Return the loads of the bodies, and the forces between them."""
+        loads = self.layout.loads(time, state)
+        forced = self.layout.forced
+        if self.forces and len(forced):
+            touching = points[forced]
+            for force in self.forces:
+                loads[forced, :3] += force.forces(time, touching, self.layout)
+        return loads
 
+    def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        if not self.mobility.evaluations:
+            with self.profile.stage("start"):
+                return self.mobility(points, loads)
+        with self.profile.stage("sums"):
+            motion = self.mobility(points, loads)
+            for info in self.mobility.infos():
+                self.profile.divide(info["seconds"], info["near_pairs"], info["far_pairs"])
+        return motion
 
-class Scene(Scenario):
-    """Any fluid with any bodies."""
+    def correct(self, time: float, state: State) -> None:
+        """Let the sums meet their tolerance again."""
+        now = self.evaluate(time, state)
+        with self.profile.stage("error samples"):
+            if self.mobility.correct(now.points, now.loads):
+                self.forget()
 
-    # The types are made above from the functions' signatures, which mypy does not follow.
-    fluid: FluidOptions = Field(FluidOptions(), description="arguments of mrs.Fluid")  # type: ignore[valid-type]
-    rods: list[RodOptions] = Field(  # type: ignore[valid-type]
-        [], description="arguments of mrs.Rods, with shape and origins"
-    )
-    swimmers: list[SwimmerOptions] = Field(  # type: ignore[valid-type]
-        [], description="arguments of mrs.Swimmers, or a suspension"
-    )
-    tracers: list[TracerOptions] = Field(  # type: ignore[valid-type]
-        [], description="arguments of mrs.Tracers"
-    )
-    steric: Steric | None = Field(None, description="repulsion between all bodies")
+    def energy(self, time: float, state: State) -> float:
+        """Return the elastic energy of all bodies."""
+        return sum(part.body.energy(time, part.state(state)) for part in self.layout.parts)
 
-    def build(self, **common: Any) -> Simulation:
-        """Return the scene."""
-        with _at("fluid"):
-            fluid = _fluid(self.fluid)
-        bodies = []
-        for name, make in (("rods", _rods), ("swimmers", _swimmers), ("tracers", _tracers)):
-            for i, options in enumerate(getattr(self, name)):
-                with _at(f"{name}.{i}"):
-                    bodies.append(make(options))
-        return Simulation(fluid, bodies, steric=self.steric, **common)
+    def velocity(self, points: np.ndarray, now: Evaluation) -> np.ndarray:
+        """Return the velocity of the fluid at points, (M, 3), in a state that was evaluated."""
+        with self.mobility.lock:
+            velocity = self.mobility.velocity(now.points, now.loads, points)
+        if self.fluid.background is not None:
+            velocity += self.fluid.flow("velocity", points, now.time)
+        return velocity
 
-    def check(self, sim: Simulation) -> Check:
-        """Return how many coordinates are not finite."""
-        bad = sum(int((~np.isfinite(array)).sum()) for array in sim.state)
-        return Check("coordinates that are not finite", bad, 0.0, 0.0)
+    def constant_fields(self, body: Body) -> tuple[Arrays, Arrays]:
+        """Return arrays of one body at points and at cells that are the same in all frames.
 
+        With the blob sizes, since the velocity of the fluid follows from them.
+        """
+        epsilons = self.epsilons[self.layout.part(body).points]
+        at_points, at_cells = body.constant_fields(epsilons)
+        return at_points | ({"epsilon": epsilons} if body.has_force else {}), at_cells
 
-@contextmanager
-def _at(place: str) -> Iterator[None]:
-    """Name the place of what is refused."""
-    try:
-        yield
-    except (TypeError, ValueError) as error:
-        raise ScenarioError(f"{place}: {error}") from None
-
-
-def _fluid(options: Any) -> Fluid:
-    arguments = options.arguments()
-    background = arguments.pop("background", None)
-    if background is not None:
-        with _at("background"):
-            arguments["background"] = getattr(flows, background.kind)(**background.arguments())
-    return Fluid(**arguments)
-
-
-def _rods(options: Any) -> Rods:
-    arguments = options.arguments()
-    shape = arguments.pop("shape")
-    with _at("shape"):
-        centerline = getattr(geometry, shape.kind)(**shape.arguments())
-    origins = arguments.pop("origins", [(0.0, 0.0, 0.0)])
-    return Rods(geometry.array(centerline, origins), **arguments)
-
-
-def _swimmers(options: Any) -> Swimmers:
-    arguments = options.arguments()
-    suspension = arguments.pop("suspension", None)
-    where = {"positions", "orientations"} & set(arguments)
-    if len(where) != (2 if suspension is None else 0):
-        raise ValueError("must have either a suspension, or positions and orientations")
-    if suspension is not None:
-        make = {f.__name__: f for f in (random_suspension, lattice_suspension)}[suspension.kind]
-        with _at("suspension"):
-            arguments["positions"], arguments["orientations"] = make(**suspension.arguments())
-    return Swimmers(**arguments)
-
-
-def _tracers(options: Any) -> Tracers:
-    return Tracers(**options.arguments())
+    def frame(self, body: Body, now: Evaluation) -> tuple[np.ndarray, Arrays, Arrays]:
+        """Return the points of one body, (p, 3), and its arrays at points and at cells."""
+        part = self.layout.part(body)
+        at_points = {"velocity": now.motion[part.points, :3]}
+        if body.has_force:
+            at_points["force"] = now.loads[part.points, :3]
+        if body.has_torque:
+            at_points["torque"] = now.loads[part.points, 3:]
+        if body.has_spin:
+            at_points["angular_velocity"] = now.motion[part.points, 3:]
+        fields = body.fields(now.time, part.state(now.state), **at_points)
+        return now.points[part.points], *fields

@@ -56,7 +56,7 @@ class HelicalSwimmer(mrs.Scenario):
 
     def check(self, sim: mrs.Simulation) -> mrs.Check:
         """Return the net force on the fluid in units of the sum of all forces' sizes."""
-        loads = sim.evaluate(sim.time, sim.state).loads[:, :3]
+        loads = sim.now.loads[:, :3]
         return mrs.Check(
             "net force", float(np.linalg.norm(loads.sum(axis=0)) / np.abs(loads).sum()), 0.0, 1e-12
         )

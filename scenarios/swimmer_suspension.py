@@ -40,8 +40,8 @@ class SwimmerSuspension(mrs.Scenario):
         swimmers = mrs.Swimmers(
             positions, orientations, length=1.0, force=self.force, stroke=self.stroke
         )
-        steric = mrs.Steric(self.repulsion, self.epsilon) if self.repulsion else None
-        return mrs.Simulation(mrs.Fluid(epsilon=self.epsilon), [swimmers], steric=steric, **common)
+        forces = [mrs.Steric(self.repulsion, self.epsilon)] if self.repulsion else []
+        return mrs.Simulation(mrs.Fluid(epsilon=self.epsilon), [swimmers], forces=forces, **common)
 
     def check(self, sim: mrs.Simulation) -> mrs.Check:
         """Return the mean speed along the orientation, beside that of a swimmer alone."""
@@ -50,7 +50,7 @@ class SwimmerSuspension(mrs.Scenario):
         alone = (
             self.force / (4.0 * np.pi) * (1.0 / self.epsilon - 1.0 / np.sqrt(1.0 + self.epsilon**2))
         )
-        velocity = sim.rates(sim.time, sim.state)[: self.count]
+        velocity = sim.now.rates[: self.count]
         along = swimmers.orientations(sim.state.quaternions)
         mean = float(np.einsum("ni,ni->n", velocity, along).mean())
         return mrs.Check("mean speed", mean, float(alone), 0.1)

@@ -5,7 +5,7 @@ import pytest
 
 import mrs
 import treecode as tc
-from mrs.mobility import Mobility
+from mrs.fluid.mobility import Mobility
 from tests.cases.apart import Apart, achieved, solve
 from tests.cases.tolerance import KERNELS
 from tests.test_tolerance import random_sum
@@ -182,8 +182,8 @@ def shell(n, radius):
 
 def dense(sim, targets):
     """Return the velocity at targets of all swimmers of a simulation: each blob size directly."""
-    now, out = sim.evaluate(0.0, sim.state), 0.0
-    epsilons = sim.constant_fields(sim.bodies[0])[0]["epsilon"]
+    now, out = sim.now, 0.0
+    epsilons = sim.scene.constant_fields(sim.bodies[0])[0]["epsilon"]
     for epsilon in np.unique(epsilons):
         own = np.flatnonzero(epsilons == epsilon)
         kernel = tc.RegularizedStokeslet(float(epsilon))
@@ -213,7 +213,7 @@ def test_tracers_far_from_swimmers(radius, flagellum):
     """
     targets = shell(100, radius)
     sim = suspension(1000, mrs.Tracers(targets), flagellum_epsilon=flagellum)
-    now = sim.evaluate(0.0, sim.state)
+    now = sim.now
     exact = dense(sim, targets)
     assert tc.relative_error(now.motion[-100:], exact) <= 1e-4
     assert sim.mobility.sampled_error(now.points, now.loads) <= 1e-4
@@ -226,7 +226,7 @@ def test_the_error_of_the_total_is_told():
     sim = suspension(500, mrs.Tracers(shell(60, 1000.0)), flagellum_epsilon=0.2)
     by_hand = mrs.Backend("fmm", degree=4, leaf_size=20, tolerance=1e-2)
     again = mrs.Simulation(mrs.Fluid(), sim.bodies, backend=by_hand)
-    now = again.evaluate(0.0, again.state)
+    now = again.now
     exact = dense(again, now.points[-60:])
     error = tc.relative_error(now.motion[-60:], exact)
     assert error > 0.1

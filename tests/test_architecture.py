@@ -60,36 +60,32 @@ ALLOWED = {
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},
-    "mrs.rotations": set(),
-    "mrs.state": {"mrs.rotations"},
-    "mrs.profile": set(),
-    "mrs.signals": set(),
-    "mrs.integrators": {"mrs.integrators"},
-    "mrs.output": {"mrs.output"},
-    "mrs.output.frames": {"mrs.output", "mrs.rundir"},  # which files are the run's own
-    "mrs.output.export": {"mrs.output", "mrs.rundir"},
-    "mrs.output.render": {"mrs.output", "mrs.rundir"},
     "mrs.describe": set(),
-    "mrs.bodies": {"mrs.describe", "mrs.state"},
-    "mrs.geometry": {"mrs.check", "mrs.rotations"},
-    "mrs.flows": {"mrs.check"},
-    "mrs.steric": {"mrs.check"},
-    "mrs.tracers": {"mrs.bodies", "mrs.check", "mrs.state"},
-    "mrs.swimmers": {"mrs.bodies", "mrs.check", "mrs.geometry", "mrs.rotations", "mrs.state"},
-    "mrs.rods": {"mrs.bodies", "mrs.check", "mrs.geometry", "mrs.rotations", "mrs.state"},
-    "mrs.mobility": {"mrs.check", "treecode"},  # the one caller of treecode
-    "mrs.stepper": {"mrs.check", "mrs.integrators", "mrs.state"},
-    "mrs.rundir": {"mrs.output.atomic", "treecode.version"},
-    "mrs.stored": {"mrs.flows", "mrs.mobility", "mrs.output"},
-    "mrs.trackers": {
-        "mrs.check", "mrs.output", "mrs.rundir", "mrs.stored",
-        "mrs.bodies", "mrs.simulation",  # their types
+    "mrs.profile": set(),
+    "mrs.registry": set(),
+    "mrs.rotations": set(),
+    "mrs.time": {"mrs.check", "mrs.registry", "mrs.rotations", "mrs.time"},
+    "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
+    "mrs.bodies": {
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rotations",
+        "mrs.time.state",
     },
-    "mrs.simulation": {
-        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.flows", "mrs.mobility", "mrs.profile",
-        "mrs.rundir", "mrs.signals", "mrs.state", "mrs.stepper", "mrs.steric", "mrs.trackers",
+    "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.forces", "mrs.registry"},
+    "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry"},
+    "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
+    "mrs.scene": {
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
     },
-    "mrs.scenario": {"mrs.check", "mrs.mobility", "mrs.simulation", "mrs.stepper", "mrs.trackers"},
+    "mrs.output": {
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
+        "mrs.time.interrupts", "treecode.version",
+        "mrs.run.simulation",  # its type
+    },
+    "mrs.run": {
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.output",
+        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.version",
+    },
+    "mrs.run.signals": set(),
     "mrs.scenarios": set(),  # found by name
     "mrs": {"mrs", "treecode.version"},
     "scenarios": {"mrs"},

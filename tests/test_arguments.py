@@ -8,7 +8,8 @@ import pytest
 
 import mrs
 from mrs.output import checkpoint
-from mrs.state import State
+from mrs.run import scenario_files
+from mrs.time.state import State
 
 MODULI = {"bending": 1.0, "twisting": 1.0, "shearing": 1.0, "stretching": 1.0}
 LINE = mrs.geometry.straight(1.0, 5)
@@ -88,9 +89,9 @@ def test_moduli_in_toml_mean_the_same():
     scene = {"fluid": {"epsilon": 0.1}, "rods": [options | {"origins": [[0, 0, 0], [1, 0, 0]]}]}
     scene["rods"][0]["bending"] = [1, 10]
     with pytest.raises(mrs.ScenarioError, match=r"rods\.0: bending: \[1, 10\] could be meant"):
-        mrs.scenario.make("scene", scene).simulation()
+        scenario_files.make("scene", scene).simulation()
     scene["rods"][0]["bending"] = [[1], [10]]
-    (body,) = mrs.scenario.make("scene", scene).simulation().bodies
+    (body,) = scenario_files.make("scene", scene).simulation().bodies
     np.testing.assert_array_equal(body._moduli[:, :2], np.repeat([[1, 1], [10, 10]], 4, axis=0))
 
 
@@ -142,7 +143,8 @@ BAD = [
     (lambda: mrs.Output(3, interval=0.1), "directory must be a path, got 3"),
     (lambda: mrs.Output("run", 0.1, -1.0), r"checkpoint_seconds .*0 \(inclusive\) and .*got -1.0"),
     (lambda: mrs.Output("run", 0.1, overwrite="no"), "overwrite must be True or False, got 'no'"),
-    (lambda: mrs.Output("run", 0.1, live=1), "live must be True or False, got 1"),
+    (lambda: mrs.Output("run", 0.1, formats=["vtk"]), r"formats\[0\] must be one of .*got 'vtk'"),
+    (lambda: mrs.Output("run", 0.1, formats="pvd"), "formats must be a list of texts, got 'pvd'"),
     (lambda: mrs.flows.shear("fast"), "rate must be a number .*got 'fast'"),
     (lambda: mrs.flows.poiseuille(np.nan, 1.0), "speed must be a number .*got nan"),
     (lambda: mrs.flows.UserFlow(1.0), "velocity must be a function of points and time, got 1.0"),
@@ -265,8 +267,8 @@ def test_steric_repulsion_with_tracers_only():
     """Nothing to repel: the scene runs, and as it does without."""
     dust = mrs.Tracers(np.random.default_rng(0).normal(size=(9, 3)))
     ends = [
-        mrs.Simulation(mrs.Fluid(background=mrs.flows.shear(1.0)), [dust], steric=steric).run(1.0)
-        for steric in (None, mrs.Steric(1.0, 0.5))
+        mrs.Simulation(mrs.Fluid(background=mrs.flows.shear(1.0)), [dust], forces=forces).run(1.0)
+        for forces in ([], [mrs.Steric(1.0, 0.5)])
     ]
     np.testing.assert_array_equal(ends[0].state.positions, ends[1].state.positions)
 
@@ -274,7 +276,7 @@ def test_steric_repulsion_with_tracers_only():
 def test_a_suspension_and_positions_exclude_each_other():
     suspension = {"kind": "lattice_suspension", "shape": [1, 1, 2], "spacing": 1.0}
     swimmers = {"suspension": suspension, "positions": [[0, 0, 0]], "length": 1, "force": 1}
-    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
+    scene = scenario_files.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
     with pytest.raises(mrs.ScenarioError, match=r"swimmers\.0: must have either a suspension, or"):
         scene.simulation()
 
@@ -306,9 +308,9 @@ OPTIONS = [
 def test_options_that_are_refused(name, options, message):
     """By their place, in the words of the class that refuses; the same from Python."""
     with pytest.raises(mrs.ScenarioError, match=message):
-        mrs.scenario.make(name, options)
+        scenario_files.make(name, options)
     with pytest.raises(mrs.ScenarioError, match=message):
-        mrs.scenario.find(name)(**options)
+        scenario_files.find(name)(**options)
 
 
 BUILT = [
@@ -325,7 +327,7 @@ BUILT = [
 @pytest.mark.parametrize(("options", "message"), BUILT, ids=[message[:30] for _, message in BUILT])
 def test_options_that_are_refused_when_built(options, message, tmp_path):
     """Before the directory is touched."""
-    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}} | options)
+    scene = scenario_files.make("scene", {"fluid": {"epsilon": 0.1}} | options)
     with pytest.raises(mrs.ScenarioError, match=message):
         scene.simulation(tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -334,7 +336,7 @@ def test_options_that_are_refused_when_built(options, message, tmp_path):
 def test_a_text_stands_for_the_name_of_a_backend():
     """As in Python: `backend="kitc"`."""
     given = {"backend": "kitc", "integrator": "heun"}
-    scene = mrs.scenario.make("helical_swimmer", given, quick=True)
+    scene = scenario_files.make("helical_swimmer", given, quick=True)
     assert scene.backend == mrs.Backend("kitc")
     assert scene.integrator == mrs.Integrator("heun")
 
@@ -349,9 +351,9 @@ def test_a_text_stands_for_the_name_of_a_backend():
     ],
 )
 def test_small_versions_have_rods_thinner_than_their_helices(name, radius):
-    scene = mrs.scenario.make(name, {}, quick=True)
+    scene = scenario_files.make(name, {}, quick=True)
     (body,) = (sim := scene.simulation()).bodies
-    assert sim.constant_fields(body)[0]["epsilon"].max() < 0.9 * radius(scene)
+    assert sim.scene.constant_fields(body)[0]["epsilon"].max() < 0.9 * radius(scene)
 
 
 def test_a_checked_number_says_what_its_tolerance_is_of():

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs import cli, signals
 from mrs.output import checkpoint, vtkhdf
-from mrs.trackers import Checkpoints
+from mrs.output.checkpoint import Checkpoints
+from mrs.run import cli, scenario_files, signals
+from mrs.run.resuming import scenario_of
 
 ROOT = Path(__file__).parents[1]
 SCENE = ROOT / "docs" / "scene.toml"
@@ -79,9 +80,9 @@ def test_one_of_several_scenarios_in_a_file(own, tmp_path, capsys):
     assert f"{own}:Dust" in error
     assert cli.main(["run", f"{own}:Dsut"]) == 1
     assert "must define Dsut, it has Dust, Wrong" in capsys.readouterr().err
-    scene = mrs.scenario.make(f"{own}:Wrong", {"t_end": 0.1})
+    scene = scenario_files.make(f"{own}:Wrong", {"t_end": 0.1})
     scene.simulation(tmp_path / "run").run(0.1)
-    again = mrs.runs.scenario_of(tmp_path / "run")
+    again = scenario_of(tmp_path / "run")
     assert type(again).__name__ == "Wrong"
     assert again.t_end == 0.1
 
@@ -101,7 +102,7 @@ def test_suffixes_in_capitals(own, tmp_path, capsys):
 def test_options_that_nobody_reads_to_the_end(quick):
     """Without a word, as `head` expects."""
     options = ["--options", *["--quick"] * quick]
-    with program("-m", "mrs.cli", "run", "cilia_array", *options) as process:
+    with program("-m", "mrs", "run", "cilia_array", *options) as process:
         process.stdout.close()
         assert process.stderr.read() == ""
         assert process.wait() == 141
@@ -122,7 +123,7 @@ def test_errors_take_one_line(error, said, capsys, monkeypatch):
     def failed(directory):
         raise error
 
-    monkeypatch.setattr(mrs.runs, "info", failed)
+    monkeypatch.setattr(cli, "info", failed)
     assert cli.main(["info", "run"]) == 1
     printed = capsys.readouterr().err
     assert printed.startswith(said)
@@ -175,12 +176,12 @@ def test_a_scenario_of_a_notebook_or_script(in_file, tmp_path, capsys):
         arguments = [tmp_path / "script.py"] if in_file else ["-c", text]
         out, error = program(*arguments).communicate()
         assert (out, error) == (f"{t_end}\n", "")
-    config = mrs.rundir.read(directory)
+    config = mrs.output.run_directory.read(directory)
     assert "scenario" not in config
     assert config["options"]["t_end"] == 0.2
     assert cli.main(["resume", directory, "--t-end", "1"]) == 1
     assert "made by a script; build the same simulation there" in capsys.readouterr().err
-    assert mrs.runs.info(directory)["time"] == 0.4
+    assert mrs.info(directory)["time"] == 0.4
 
 
 def test_classes_that_cannot_be_found_again():
@@ -189,9 +190,9 @@ def test_classes_that_cannot_be_found_again():
     class Local(mrs.Scenario):
         pass
 
-    assert mrs.scenario.name_of(Local) is None
-    assert mrs.scenario.name_of(type("Made", (mrs.Scenario,), {"__module__": "nowhere"})) is None
-    assert mrs.scenario.name_of(mrs.scenario.find("cilia_array")) == "cilia_array"
+    assert scenario_files.name_of(Local) is None
+    assert scenario_files.name_of(type("Made", (mrs.Scenario,), {"__module__": "nowhere"})) is None
+    assert scenario_files.name_of(scenario_files.find("cilia_array")) == "cilia_array"
 
 
 # --- signals ----------------------------------------------------------------------------------
@@ -202,7 +203,7 @@ STOPS = ["SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU"]
 def begun(run, *before, **options):
     """Start a long run in a process, and wait until it has stepped for a while."""
     scene = ["--set", "t_end=1000", "--set", "checkpoint_seconds=0"]
-    process = program(*before, "-m", "mrs.cli", "run", SCENE, "--output", run, *scene, **options)
+    process = program(*before, "-m", "mrs", "run", SCENE, "--output", run, *scene, **options)
     while process.poll() is None and not (run / "checkpoint.h5").exists():
         time.sleep(0.01)
     while process.poll() is None and checkpoint.load(run / "checkpoint.h5")[1]["time"] == 0.0:
@@ -220,10 +221,10 @@ def test_signals_stop_a_run_in_good_order(name, tmp_path):
     assert process.returncode == 128 + getattr(signal, name)
     assert f"stopped by {name}; go on with `mrs resume {run}`" in error
     assert "Traceback" not in error
-    found = mrs.runs.info(run)
+    found = mrs.info(run)
     assert 0.0 < found["time"] < 1000.0
     assert cli.main(["resume", str(run), "--max-walltime", "0"]) == 0
-    assert mrs.runs.info(run)["time"] > found["time"]
+    assert mrs.info(run)["time"] > found["time"]
 
 
 def test_ctrl_c_again_and_again(tmp_path):
@@ -331,7 +332,7 @@ def test_a_signal_whose_exception_is_lost():
     """Python only prints what is raised in a callback of the garbage collector."""
 
     class Lost(mrs.Tracker):
-        interval = 10.0
+        when = mrs.Interval(10.0)
 
         def initialize(self, sim):
             with contextlib.suppress(KeyboardInterrupt):
@@ -348,7 +349,7 @@ def test_frames_are_written_to_their_end(tmp_path):
     done = []
 
     class Slow(mrs.Tracker):
-        interval = 0.1
+        when = mrs.Interval(0.1)
 
         def __init__(self, wait):
             self.wait = wait

@@ -10,8 +10,8 @@ import pytest
 import pyvista as pv
 
 import mrs
-from mrs import cli
 from mrs.output import checkpoint, vtkhdf
+from mrs.run import cli
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, cg
 
-from mrs.mobility import Backend, Mobility
+from mrs.fluid.mobility import Backend, Mobility
 
 X, Y, Z = np.eye(3)
 THICK = np.exp(0.5)  # epsilon of a line of blobs with the drag of a rod of radius 1

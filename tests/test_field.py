@@ -12,12 +12,12 @@ import pyvista as pv
 
 import mrs
 import treecode as tc
-from mrs import cli, runs
 from mrs.output import field, vtkhdf
 from mrs.output.export import FORMATS, export
 from mrs.output.render import render
+from mrs.output.stored import StoredFrame
 from mrs.output.vtkhdf import Topology, Trajectory
-from mrs.stored import StoredFrame
+from mrs.run import cli
 from tests.cases import oracle
 
 MODULI = {"bending": 1.0, "twisting": 1.0, "shearing": 100.0, "stretching": 100.0}
@@ -48,7 +48,7 @@ def script(directory, background=FLOW, **options):
 
 def expected(sim, targets):
     """Return the velocity by formulas in extended precision that share no code with the sums."""
-    now, values = sim.evaluate(sim.time, sim.state), np.zeros((len(targets), 3))
+    now, values = sim.now, np.zeros((len(targets), 3))
     epsilons = np.concatenate([np.full(16, 0.2), np.full(2, 0.1), np.full(2, 0.15)])
     for epsilon in np.unique(epsilons):
         chosen = np.flatnonzero(epsilons == epsilon)
@@ -93,8 +93,8 @@ def test_an_earlier_frame(tmp_path):
 
 def test_frame_velocity_from_python(tmp_path):
     sim = script(tmp_path)
-    points, velocity = runs.frame_velocity(tmp_path)
-    np.testing.assert_allclose(points, sim.evaluate(sim.time, sim.state).points, rtol=1e-6)
+    points, velocity = mrs.frame_velocity(tmp_path)
+    np.testing.assert_allclose(points, sim.now.points, rtol=1e-6)
     targets = np.random.default_rng(1).uniform(-2, 2, (50, 3))
     assert error_of(velocity(targets), expected(sim, targets)) < 1e-4
 
@@ -108,7 +108,7 @@ def rounding_of_a_bent_rod(directory, seed):
     targets = 1e3 * np.random.default_rng(0).standard_normal((500, 3))
     stored = StoredFrame(directory)
     values = stored.velocity(targets)
-    now = sim.evaluate(sim.time, sim.state)
+    now = sim.now
     kernel = tc.RegularizedStokesletRotlet(0.1, 1.0)
     exact = oracle.exact(kernel, now.points, now.loads, targets)[:, :3].astype(float)
     return error_of(values, exact), stored.error(targets, values).rounding
@@ -132,7 +132,7 @@ def test_far_from_the_origin(tmp_path, away):
     stored = StoredFrame(tmp_path)
     targets = away + np.random.default_rng(0).uniform(-1, 1, (500, 3))
     values = stored.velocity(targets)
-    now = sim.evaluate(sim.time, sim.state)
+    now = sim.now
     kernel = tc.RegularizedStokeslet(0.02, 1.0)
     exact = oracle.exact(kernel, now.points, now.loads, targets).astype(float)
     actual, told = error_of(values, exact), stored.error(targets, values)
@@ -155,13 +155,13 @@ def test_a_background_that_files_cannot_hold(tmp_path):
     background = mrs.flows.UserFlow(lambda x, t: x[:, [1, 0, 2]] * [1, 1, 0], lambda x, t: 0 * x)
     sim = script(tmp_path, background)
     with pytest.warns(UserWarning, match="UserFlow, which files cannot hold"):
-        runs.write_field(tmp_path, resolution=5)
+        mrs.write_field(tmp_path, resolution=5)
     image = pv.read(tmp_path / "field.vti")
     assert image.point_data.keys() == ["disturbance"]
     total = image["disturbance"] + background.velocity(image.points, 0.03)
     assert error_of(total, sim.velocity(image.points)) < 1e-4
     assert np.isnan(image.field_data["error_at_bodies"][0])
-    _, velocity = runs.frame_velocity(tmp_path, background=background)
+    _, velocity = mrs.frame_velocity(tmp_path, background=background)
     np.testing.assert_array_equal(velocity(image.points), total)
 
 
@@ -188,7 +188,7 @@ def test_a_background_of_a_scenario_is_taken_from_there(tmp_path):
     (tmp_path / "mine.py").write_text(SCENARIO)
     options = ["--set", "t_end=0.1", "--output", str(tmp_path / "run")]
     assert cli.main(["run", str(tmp_path / "mine.py"), *options]) == 0
-    runs.write_field(tmp_path / "run", resolution=5)
+    mrs.write_field(tmp_path / "run", resolution=5)
     image = pv.read(tmp_path / "run" / "field.vti")
     far = image.points[[0]]
     assert np.linalg.norm(image["velocity"][0] - 2.0 * turning(far)[0]) < 0.2
@@ -201,7 +201,7 @@ def test_another_fluid_than_that_of_the_frame_is_said(tmp_path):
         with h5py.File(path, "r+") as file:
             file["meta"].attrs["viscosity"] = 5.0
     with pytest.warns(UserWarning, match="another viscosity or background"):
-        found = runs.write_field(tmp_path, resolution=5)
+        found = mrs.write_field(tmp_path, resolution=5)
     assert found.error.at_bodies > 0.01
 
 
@@ -278,7 +278,7 @@ def test_readme_example(tmp_path):
         output=mrs.Output(tmp_path / "mine", interval=0.01),
     )
     sim.run(0.01)
-    runs.write_field(tmp_path / "mine", resolution=8)
+    mrs.write_field(tmp_path / "mine", resolution=8)
     image = pv.read(tmp_path / "mine" / "field.vti")
     assert error_of(image["velocity"], sim.velocity(image.points)) < 1e-4
 
@@ -287,7 +287,7 @@ def test_readme_example(tmp_path):
 def test_streamlines_at_any_resolution(tmp_path, resolution, recwarn):
     options = ["--quick", "--set", "t_end=0.1", "--output", str(tmp_path / "run")]
     assert cli.main(["run", "fibre_in_shear", *options]) == 0
-    runs.write_field(tmp_path / "run", resolution=resolution)
+    mrs.write_field(tmp_path / "run", resolution=resolution)
     lines = pv.read(tmp_path / "run" / "streamlines.vtp")
     assert lines.n_lines >= 2
     assert not [warning for warning in recwarn if "streamlines" in str(warning.message)]
@@ -334,14 +334,14 @@ def test_field_reads_back(tmp_path):
     grid = field.grid_around(np.eye(3), resolution=5)
     velocity = turning(grid.points)
     arrays = {"velocity": velocity, "speed": np.linalg.norm(velocity, axis=1)}
-    field.write_field(tmp_path / "a.vti", grid, arrays, {"time": 0.1})
+    field.write_grid(tmp_path / "a.vti", grid, arrays, {"time": 0.1})
     image = pv.read(tmp_path / "a.vti")
     np.testing.assert_allclose(image.points, grid.points)
     for name, array in arrays.items():
         np.testing.assert_array_equal(image[name], array)
     assert image.field_data["time"] == [0.1]
     with pytest.raises(ValueError, match="velocity must have a row for each of 125 points"):
-        field.write_field(tmp_path / "b.vti", grid, {"velocity": np.zeros((3, 3))})
+        field.write_grid(tmp_path / "b.vti", grid, {"velocity": np.zeros((3, 3))})
 
 
 def test_streamlines_of_a_rotation_are_circles(tmp_path):
@@ -401,7 +401,7 @@ def test_a_run_elsewhere(tmp_path):
     (tmp_path / "files").mkdir()
     for path in (tmp_path / "run").glob("*.vtkhdf"):
         shutil.copy(path, tmp_path / "files")
-    assert runs.write_field(tmp_path / "files", resolution=5).time == 0.03
+    assert mrs.write_field(tmp_path / "files", resolution=5).time == 0.03
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of the size of files there")
@@ -410,7 +410,7 @@ def test_no_room_on_the_disk(tmp_path, command):
     """Said by an error that names the file, and nothing is left of it; VTK and HDF5 would crash."""
     script(tmp_path / "run")
     code = (
-        "import resource, sys; import numpy as np; from mrs import cli, stored; "
+        "import resource, sys; import numpy as np; from mrs.output import stored; from mrs.run import cli; "
         "stored.StoredFrame(sys.argv[2]).velocity(np.eye(3)); "  # compiled while there is room
         "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); sys.exit(cli.main(sys.argv[1:]))"
     )
@@ -431,7 +431,7 @@ def test_what_is_made_of_a_run_goes_with_it(tmp_path):
     for path in foreign:
         path.write_text("mine")
     made = [render(tmp_path, tmp_path / f"a.{suffix}", size=(64, 64)) for suffix in ("png", "gif")]
-    made += [*export(tmp_path, "vtu"), *runs.write_field(tmp_path, resolution=5).paths]
+    made += [*export(tmp_path, "vtu"), *mrs.write_field(tmp_path, resolution=5).paths]
     assert all(path.exists() for path in made)
     script(tmp_path, overwrite=True)
     assert not [path for path in made if path.exists()]

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mrs import cli
 from mrs.output import log, vtkhdf
 from mrs.output.atomic import WriteError
 from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.run import cli
 from tests.test_runs import assert_equal_runs
 
 ARGUMENTS = ["run", "fibre_in_shear"]
-for option in ("nodes=21", "tracers=40", "t_end=0.6", "interval=0.02", "live=true"):
+for option in ("nodes=21", "tracers=40", "t_end=0.6", "interval=0.02", 'formats=["vtkhdf","pvd"]'):
     ARGUMENTS += ["--set", option]
 ARGUMENTS += ["--set", "checkpoint_seconds=0"]
 FREE = 60 * 1024, 740 * 1024  # bytes, least and most; the whole run takes more
@@ -31,7 +31,7 @@ def run(*arguments, limit=None):
         if limit is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    command = [sys.executable, "-m", "mrs.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "mrs", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, preexec_fn=limited)
 
 

@@ -9,11 +9,13 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs import cli, rundir
 from mrs.describe import described, differences
+from mrs.output import pvd, run_directory, vtkhdf
+from mrs.run import cli
+from mrs.run.resuming import scenario_of
 from tests.test_runs import assert_equal_runs, trajectories
 
-OPTIONS = ["nodes=21", "tracers=30", "interval=0.1", "live=true", "t_end=0.6"]
+OPTIONS = ["nodes=21", "tracers=30", "interval=0.1", 'formats=["vtkhdf","pvd"]', "t_end=0.6"]
 ARGUMENTS = ["run", "fibre_in_shear", *(word for o in OPTIONS for word in ("--set", o)), "--output"]
 
 
@@ -42,11 +44,11 @@ def contents(directory):
 def shortened(path):
     """Leave frames out at the end, as an older copy of the file."""
     if path.suffix == ".vtkhdf":
-        mrs.trackers.vtkhdf.cut(path, 0.35)
+        vtkhdf.cut(path, 0.35)
     elif path.suffix == ".csv":
         path.write_text("".join(path.read_text().splitlines(keepends=True)[:-3]))
     else:
-        mrs.trackers.live.cut(path, 0.35)
+        pvd.cut(path, 0.35)
 
 
 def of_another_scene(path):
@@ -130,9 +132,9 @@ def test_a_live_frame_that_is_missing(run, capsys):
 
 def test_a_frame_at_the_checkpoint_goes_to_the_file_that_lacks_it(runs, run):
     """As after a kill between two files."""
-    mrs.trackers.vtkhdf.cut(run / "tracers.vtkhdf", 0.55)
+    vtkhdf.cut(run / "tracers.vtkhdf", 0.55)
     before = contents(run)
-    sim = mrs.restart(mrs.runs.scenario_of(run).simulation(run))
+    sim = mrs.restart(scenario_of(run).simulation(run))
     sim.run(0.6)
     np.testing.assert_equal(trajectories(run), trajectories(runs / "first"))
     same = {name for name, data in contents(run).items() if before[name] == data}
@@ -168,14 +170,14 @@ def test_the_second_call_of_run_looks_too(tmp_path):
 
 def edit(run, **options):
     """Change options in config.toml."""
-    content = rundir.read(run)
+    content = run_directory.read(run)
     for name, value in options.items():
         group = content["options"]
         *path, last = name.split("__")
         for part in path:
             group = group[part]
         group[last] = value
-    rundir._write(run, content)
+    run_directory._write(run, content)
 
 
 def test_without_changes_nothing_is_said(run):
@@ -191,21 +193,21 @@ def test_without_changes_nothing_is_said(run):
                                                            "backend.degree: nothing became 5"]),
         ({"backend__tolerance": 1e-6}, ["backend.tolerance: 0.0001 became 1e-06"]),
         ({"integrator__tolerance": 1e-3}, ["integrator.tolerance: 0.0001 became 0.001"]),
-        ({"interval": 0.05, "live": False}, ["output.interval: 0.1 became 0.05",
-                                             "output.live: True became False"]),
+        ({"interval": 0.05, "formats": ["vtkhdf"]}, ["output.interval: 0.1 became 0.05",
+                                     "output.formats: ['vtkhdf', 'pvd'] became ['vtkhdf']"]),
     ],
 )  # fmt: skip
 def test_numerics_are_taken_up_and_said(run, options, said):
     """The state is that of the checkpoint; the way to compute is the new one from there on."""
     edit(run, **options)
-    sim = mrs.runs.scenario_of(run).simulation(run)
+    sim = scenario_of(run).simulation(run)
     with pytest.warns(UserWarning, match=r"from t = 0\.6") as told:
         mrs.restart(sim)
     assert len(told) == 1
     lines = str(told[0].message).splitlines()[1:]
     assert sorted(line.strip() for line in lines) == sorted(said)
     section = said[0].partition(".")[0]
-    fresh = mrs.runs.scenario_of(run).simulation().mobility.history()
+    fresh = scenario_of(run).simulation().mobility.history()
     assert (sim.mobility.history() == fresh) == (section == "backend")
     assert (sim.stepper.h is None) == (section == "integrator")
     assert sim.stepper.steps > 0
@@ -239,7 +241,7 @@ def test_other_numbers_of_points_are_always_refused(run):
     assert "options.tracers: 30 became 31" in str(refused.value)
 
 
-def script(directory, *, rate=1.0, bending=1.0, names=("fibre", "tracers"), beat=None, steric=None):
+def script(directory, *, rate=1.0, bending=1.0, names=("fibre", "tracers"), beat=None, forces=()):
     """A simulation of a script of one's own."""
     fibre = mrs.Rods(
         mrs.geometry.straight(1.0, 11),
@@ -253,7 +255,7 @@ def script(directory, *, rate=1.0, bending=1.0, names=("fibre", "tracers"), beat
     tracers = mrs.Tracers(np.random.default_rng(0).random((20, 3)), name=names[1])
     fluid = mrs.Fluid(epsilon=0.2, background=mrs.flows.shear(rate))
     output = mrs.Output(directory, interval=0.1)
-    return mrs.Simulation(fluid, [fibre, tracers], steric=steric, output=output)
+    return mrs.Simulation(fluid, [fibre, tracers], forces=forces, output=output)
 
 
 def wave(amplitude):
@@ -268,7 +270,7 @@ def wave(amplitude):
         ({"bending": [[1.0, 2.0]]}, r"bodies.fibre.bending: 1.0 became \[\[1.0, 2.0\]\]"),
         ({"beat": wave(0.2)}, "bodies.fibre.beat.values.amplitude: 0.1 became 0.2"),
         ({"beat": lambda s, t: np.zeros((len(s), 3))}, "bodies.fibre.beat"),
-        ({"steric": mrs.Steric(1.0, 0.1)}, "steric"),
+        ({"forces": [mrs.Steric(1.0, 0.1)]}, "forces"),
         ({"names": ("rod", "tracers")}, "bodies.rod"),
     ],
 )

@@ -10,13 +10,14 @@ import pytest
 
 import mrs
 from mrs.output.vtp import read_pvd
+from mrs.run import scenario_files
 from tests.test_runs import assert_equal_runs, state_of, trajectories
 
 OPTIONS = {
     "nodes": 21,
     "tracers": 40,
     "interval": 0.02,
-    "live": True,
+    "formats": ["vtkhdf", "pvd"],
     "checkpoint_seconds": 0.0,
 }
 
@@ -26,6 +27,7 @@ import sys
 from pathlib import Path
 import h5py
 import mrs
+from mrs.run import scenario_files
 
 directory = Path(sys.argv[1])
 
@@ -43,7 +45,7 @@ class Reader(mrs.Tracker):
 if (directory / "checkpoint.h5").exists():
     mrs.resume(directory, trackers=[Reader()])
 else:
-    scene = mrs.scenario.make("fibre_in_shear", {OPTIONS!r})
+    scene = scenario_files.make("fibre_in_shear", {OPTIONS!r})
     sim = scene.simulation(directory)
     sim.trackers.append(Reader())
     sim.run(float(sys.argv[2]))
@@ -90,7 +92,7 @@ def test_killed_with_readers_open(tmp_path, kills):
     """Every frame up to the last checkpoint is there after each kill; the end is the same bits."""
     whole, directory = tmp_path / "whole", tmp_path / "killed"
     t_end = 0.04 * kills  # so that there is something left to be done at the last kill
-    mrs.scenario.make("fibre_in_shear", OPTIONS).simulation(whole).run(t_end)
+    scenario_files.make("fibre_in_shear", OPTIONS).simulation(whole).run(t_end)
     expected = trajectories(whole)
     moments, reached = random.Random(kills), []
     viewer = [sys.executable, "-c", VIEWER, str(directory)]

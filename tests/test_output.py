@@ -15,7 +15,7 @@ import pyvista as pv
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkIOHDF import vtkHDFReader
 
-from mrs.output import checkpoint, export, live, log, paraview, vtkhdf
+from mrs.output import checkpoint, export, log, paraview, pvd, vtkhdf
 from mrs.output.vtkhdf import Topology, Trajectory
 from mrs.output.vtp import read_pvd
 
@@ -506,10 +506,10 @@ def test_log_with_half_a_header(tmp_path):
 
 def test_live(tmp_path):
     path = tmp_path / "rods.pvd"
-    assert live.cut(path, 1.0) is None
+    assert pvd.cut(path, 1.0) is None
     for i in range(4):
         points, at_points, at_cells, _ = rods_frame(i)
-        live.append(path, 0.1 * i, RODS, points, at_points, at_cells)
+        pvd.append(path, 0.1 * i, RODS, points, at_points, at_cells)
     reader = pv.get_reader(path)
     assert reader.time_values == [0.1 * i for i in range(4)]
     reader.set_active_time_point(3)
@@ -518,9 +518,9 @@ def test_live(tmp_path):
     np.testing.assert_array_equal(mesh["velocity"], rods_frame(3)[1]["velocity"])
     np.testing.assert_array_equal(mesh["bending_energy"], rods_frame(3)[2]["bending_energy"])
     assert mesh.n_lines == 3
-    assert live.cut(path, 0.15) == 0.1
+    assert pvd.cut(path, 0.15) == 0.1
     assert sorted(p.name for p in (tmp_path / "rods").iterdir()) == ["000000.vtp", "000001.vtp"]
-    live.append(path, 0.2, RODS, rods_frame(2)[0])
+    pvd.append(path, 0.2, RODS, rods_frame(2)[0])
     times = [time for time, _ in read_pvd(path)]
     assert times == [0.0, 0.1, 0.2]
 

@@ -16,7 +16,7 @@ from mrs.output.export import export
 from mrs.output.vtkhdf import Trajectory
 
 
-def script(directory, live):
+def script(directory, formats=("vtkhdf",)):
     """Run a rod, swimmers and tracers."""
     line = mrs.geometry.straight(1.0, 5)
     bodies = [
@@ -24,7 +24,7 @@ def script(directory, live):
         mrs.Swimmers([[2.0, 0, 0]], [[0, 0, 1.0]], length=1.0, force=1.0),
         mrs.Tracers(np.eye(3)),
     ]
-    output = mrs.Output(directory, interval=0.01, live=live)
+    output = mrs.Output(directory, interval=0.01, formats=formats)
     mrs.Simulation(mrs.Fluid(epsilon=0.1), bodies, output=output).run(0.02)
 
 
@@ -97,7 +97,7 @@ def run_macro(directory, monkeypatch, reads_vtkhdf):
 
 def test_frames_to_look_at_have_all_arrays(tmp_path):
     """Constant ones as well: without the radius ParaView draws no tubes."""
-    script(tmp_path, live=True)
+    script(tmp_path, ["vtkhdf", "pvd"])
     for name in ("rods", "swimmers", "tracers"):
         files = sorted((tmp_path / name).glob("*.vtp"))
         with Trajectory(tmp_path / f"{name}.vtkhdf") as ours:
@@ -117,12 +117,12 @@ def test_frames_to_look_at_have_all_arrays(tmp_path):
 
 
 @pytest.mark.parametrize("reads_vtkhdf", [True, False, "empty"])
-@pytest.mark.parametrize("frames", ["live", "exported"])
+@pytest.mark.parametrize("frames", ["written", "exported"])
 def test_macro_opens_a_run(tmp_path, monkeypatch, capsys, reads_vtkhdf, frames):
     """The trajectories, or where ParaView cannot read them the frames beside."""
-    script(tmp_path, live=frames == "live")
+    script(tmp_path, ["vtkhdf", "pvd"] if frames == "written" else ["vtkhdf"])
     (tmp_path / ".rods.partial.vtkhdf").write_text("half of it")
-    folder = tmp_path if frames == "live" else tmp_path / "vtp"
+    folder = tmp_path if frames == "written" else tmp_path / "vtp"
     if frames == "exported":
         export(tmp_path, "vtp")
     module = run_macro(tmp_path, monkeypatch, reads_vtkhdf)
@@ -137,7 +137,7 @@ def test_macro_opens_a_run(tmp_path, monkeypatch, capsys, reads_vtkhdf, frames):
 
 
 def test_macro_says_what_to_do(tmp_path, monkeypatch, capsys):
-    script(tmp_path, live=False)
+    script(tmp_path)
     module = run_macro(tmp_path, monkeypatch, False)
     assert module.opened == module.filters == []
     said = capsys.readouterr().out

@@ -114,7 +114,7 @@ ALONE = [("swimmers", 14, 3, 14**2), ("rods", 12, 6, 12**2), ("tracers", 11, 3, 
 def test_pairs_of_scenes_alone(kind, points, columns, pairs):
     """Of all evaluations but the first, which is apart: it compiles."""
     sim = scene(kind).run(5e-4)
-    assert sim.evaluate(sim.time, sim.state).loads.shape == (points, columns)
+    assert sim.now.loads.shape == (points, columns)
     again = sim.mobility.evaluations - 1
     assert again >= 5
     assert sim.profile.pairs.get("near", 0) == again * pairs
@@ -123,17 +123,17 @@ def test_pairs_of_scenes_alone(kind, points, columns, pairs):
 
 # Python files that a step goes through, of those that belong to some scenes only
 PARTS = {
-    "mrs/rods.py", "mrs/swimmers.py", "mrs/tracers.py", "mrs/steric.py", "mrs/flows.py",
-    "treecode/plan.py",
+    "bodies/rods.py", "bodies/swimmers.py", "bodies/tracers.py", "forces/steric.py",
+    "fluid/flows.py", "treecode/plan.py",
 }  # fmt: skip
 
 
 @pytest.mark.parametrize(
     ("kind", "own"),
     [
-        ("swimmers", {"mrs/swimmers.py", "treecode/plan.py"}),
-        ("rods", {"mrs/rods.py", "treecode/plan.py"}),
-        ("tracers", {"mrs/tracers.py", "mrs/flows.py"}),
+        ("swimmers", {"bodies/swimmers.py", "treecode/plan.py"}),
+        ("rods", {"bodies/rods.py", "treecode/plan.py"}),
+        ("tracers", {"bodies/tracers.py", "fluid/flows.py"}),
     ],
 )
 def test_a_step_goes_through_its_own_parts_only(kind, own):

@@ -10,11 +10,11 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
-from mrs import cli
 from mrs.output import render as module
 from mrs.output import vtkhdf
 from mrs.output.render import render
 from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.run import cli
 
 SIZE = (320, 200)
 
@@ -215,7 +215,7 @@ def test_no_room_on_the_disk(tmp_path, suffix):
     """Said, and nothing is left that looks like a film; in a process of its own."""
     rods(tmp_path, frames=10)
     code = (
-        "import resource, sys; from mrs import cli; "
+        "import resource, sys; from mrs.run import cli; "
         "resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000)); sys.exit(cli.main(sys.argv[1:]))"
     )
     command = ["render", str(tmp_path), "--output", str(tmp_path / f"a.{suffix}")]

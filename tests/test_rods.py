@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import kv
 
 import mrs
-from mrs.state import State
+from mrs.time.state import State
 from tests.cases import rod_oracle as oracle
 
 UNIT = 2.0**-53
@@ -279,11 +279,11 @@ def decay_rate(kind, x, ratio):
     mode, small, x = np.cos(k * line.nodes[:, 2]), 1e-5, k * epsilon
     if kind == "stretch":
         state = State(line.nodes + small * np.outer(mode, Z), line.quaternions)
-        values = sim.rates(0.0, state)[:nodes, 2]
+        values = sim.scene.rates(0.0, state)[:nodes, 2]
         theory = modulus * k**2 * kv(0, x) / (2 * np.pi * mu)
     else:
         state = State(line.nodes, about(Z, small * mode))
-        values = sim.rates(0.0, state)[nodes:, 2]
+        values = sim.scene.rates(0.0, state)[nodes:, 2]
         theory = 2 * x * kv(1, x) + x**2 * kv(2, x)
         theory *= modulus * k**2 / (8 * np.pi * mu * epsilon**2)
     middle = slice(nodes // 4, 3 * nodes // 4)
@@ -355,7 +355,7 @@ def test_balanced_at_every_step():
     sim = olc("rkc2")
     for _ in range(15):
         sim.step(0.1)
-        now = sim.evaluate(sim.time, sim.state)
+        now = sim.now
         assert_balanced(now.points, now.loads[:, :3], now.loads[:, 3:])
     assert np.ptp(sim.state.positions[:, 0]) > 1e-3  # it has begun to coil
 

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs import cli, rundir
-from mrs.mobility import Mobility
-from mrs.output import export, vtkhdf
+from mrs.fluid.mobility import Mobility
+from mrs.output import checkpoint, export, run_directory, vtkhdf
 from mrs.output.atomic import temporary_name
+from mrs.run import cli
 from tests.test_going_on import contents, script
 from tests.test_runs import assert_equal_runs, swim, trajectories
 
@@ -23,11 +23,11 @@ from tests.test_runs import assert_equal_runs, swim, trajectories
 def test_overwriting_deletes_the_files_of_the_run_and_no_others(tmp_path):
     """Frames of live files, exports and pictures go; what the user put there stays."""
     run = tmp_path / "run"
-    arguments = [*swim(run, 0.1), "--set", "live=true"]
+    arguments = [*swim(run, 0.1), "--set", 'formats=["vtkhdf","pvd"]']
     assert cli.main(arguments) == 0
-    rundir.note(run, *export.export(run, "vtu"))
+    run_directory.note(run, *export.export(run, "vtu"))
     noted = [run / "picture.png", run / "vtp" / "deep" / "a.vtp"]
-    rundir.note(run, *noted, tmp_path / "elsewhere.png", run / ".." / "elsewhere.png")
+    run_directory.note(run, *noted, tmp_path / "elsewhere.png", run / ".." / "elsewhere.png")
     foreign = ["mine.vtkhdf", "notes.txt", "mine.pvd", "vtu/mine.vtu", "flagellum/mine.vtp"]
     foreign = [run / name for name in foreign] + [tmp_path / "elsewhere.png"]
     for path in (*noted, *foreign, temporary_name(run / "flagellum.vtkhdf")):
@@ -51,20 +51,20 @@ def test_overwriting_deletes_the_files_of_the_run_and_no_others(tmp_path):
 
 def test_all_that_a_run_writes_is_noted(tmp_path):
     run = tmp_path / "run"
-    arguments = [*swim(run, 0.1), "--set", "live=true", "--profile"]
+    arguments = [*swim(run, 0.1), "--set", 'formats=["vtkhdf","pvd"]', "--profile"]
     assert cli.main(arguments) == 0
-    assert {run / name for name in contents(run)} <= set(rundir.noted(run))
-    rundir.discard(run)
+    assert {run / name for name in contents(run)} <= set(run_directory.noted(run))
+    run_directory.discard(run)
     assert list(run.iterdir()) == []
 
 
 def test_a_list_that_a_killed_process_left_half_a_name_in(tmp_path):
-    rundir.note(tmp_path, tmp_path / "a.png")
+    run_directory.note(tmp_path, tmp_path / "a.png")
     with (tmp_path / "files.txt").open("a") as listing:
         listing.write("b.p")
-    rundir.note(tmp_path, tmp_path / "c.png", tmp_path / "c.png")
-    assert [path.name for path in rundir.noted(tmp_path)][-1] == "c.png"
-    assert len(rundir.noted(tmp_path)) == len(set(rundir.noted(tmp_path)))
+    run_directory.note(tmp_path, tmp_path / "c.png", tmp_path / "c.png")
+    assert [path.name for path in run_directory.noted(tmp_path)][-1] == "c.png"
+    assert len(run_directory.noted(tmp_path)) == len(set(run_directory.noted(tmp_path)))
 
 
 @pytest.mark.parametrize("lists", ["elsewhere/thesis.tex", "../elsewhere/thesis.tex"])
@@ -124,9 +124,9 @@ def test_a_start_that_fails_leaves_nothing(tmp_path, monkeypatch):
     """Neither a lock nor folders, whatever it is that fails before the first checkpoint."""
     deep = tmp_path / "a" / "b" / "c"
     for module, name in [
-        (rundir, "_write"),
-        (rundir, "note"),
-        (mrs.trackers.checkpoint, "save"),
+        (run_directory, "_write"),
+        (run_directory, "note"),
+        (checkpoint, "save"),
     ]:
         with monkeypatch.context() as patch:
             patch.setattr(module, name, fail)
@@ -135,7 +135,7 @@ def test_a_start_that_fails_leaves_nothing(tmp_path, monkeypatch):
         assert list(tmp_path.iterdir()) == []
     (tmp_path / "mine.txt").write_text("mine")
     with monkeypatch.context() as patch:
-        patch.setattr(rundir, "_write", fail)
+        patch.setattr(run_directory, "_write", fail)
         with pytest.raises(RuntimeError, match="no memory"):
             script(tmp_path).run(0.1)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
@@ -160,8 +160,8 @@ def test_a_run_that_fails_at_the_start_is_gone_on_with_or_overwritten(tmp_path, 
 
 
 LOCKED = """
-import sys, time, mrs.rundir
-with mrs.rundir.held(sys.argv[1]):
+import sys, time, mrs.output.run_directory
+with mrs.output.run_directory.held(sys.argv[1]):
     print("held", flush=True)
     time.sleep(99)
 """
@@ -213,7 +213,7 @@ def test_a_working_copy_that_is_not_installed(monkeypatch):
         raise metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(metadata, "version", missing)
-    found = rundir.versions.__wrapped__()
+    found = run_directory.versions.__wrapped__()
     assert (found["mrs-treecode"], found["numpy"]) == (mrs.__version__, "unknown")
 
 
@@ -237,7 +237,7 @@ def test_info_beside_a_run_never_fails_and_tells_the_frames(tmp_path):
     def look():
         while not over.is_set():
             if (run / "config.toml").exists():
-                told.append(mrs.runs.info(run))
+                told.append(mrs.info(run))
 
     class Mess(mrs.Tracker):
         def initialize(self, sim):
@@ -261,9 +261,9 @@ def test_info_beside_a_run_never_fails_and_tells_the_frames(tmp_path):
 
 def test_info_tells_the_checkpoint_and_the_frames_apart(tmp_path, capsys, monkeypatch):
     run = tmp_path / "run"
-    monkeypatch.setattr(mrs.trackers.Checkpoints, "finalize", lambda *_: None)  # killed
+    monkeypatch.setattr(checkpoint.Checkpoints, "finalize", lambda *_: None)  # killed
     script(run).run(0.3)
-    found = mrs.runs.info(run)
+    found = mrs.info(run)
     assert (found["time"], found["checkpoint"]) == (0.3, {"time": 0.0, "steps": 0})
     assert found["files"]["fibre.vtkhdf"] == {"frames": 4, "points": 11, "time": 0.3}
     assert found["steps"] > 0

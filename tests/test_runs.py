@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs import cli
-from mrs.mobility import Mobility
+from mrs.fluid.mobility import Mobility
 from mrs.output import checkpoint, vtkhdf
+from mrs.run import cli, scenario_files
 
 SCENE = Path(__file__).parents[1] / "docs" / "scene.toml"
 
@@ -63,7 +63,7 @@ def assert_equal_runs(one, other):
 
 def begin(*arguments):
     """Start the command line in a process of its own."""
-    command = [sys.executable, "-m", "mrs.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "mrs", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
@@ -99,7 +99,7 @@ def test_walltime_stops_in_good_order_and_resume_ends_the_same(tmp_path):
     whole, halves = tmp_path / "whole", tmp_path / "halves"
     assert cli.main(swim(whole, 0.4)) == 0
     assert cli.main([*swim(halves, 0.4), "--max-walltime", "0"]) == 0
-    assert 0.0 < mrs.runs.info(halves)["time"] < 0.4
+    assert 0.0 < mrs.info(halves)["time"] < 0.4
     assert cli.main(["resume", str(halves)]) == 0
     assert_equal_runs(whole, halves)
 
@@ -113,7 +113,7 @@ def test_a_profile_changes_nothing(tmp_path, capsys):
     assert_equal_runs(plain, profiled)
     with (profiled / "profile.csv").open() as file:
         pairs = {row["stage"]: row["pairs"] for row in csv.DictReader(file)}
-    evaluations = mrs.runs.info(profiled)["log"]["evaluations"]
+    evaluations = mrs.info(profiled)["log"]["evaluations"]
     assert int(pairs["near"]) == (int(evaluations) - 1) * 41**2
     assert cli.main([*swim(profiled, 0.2), "--overwrite"]) == 0
     assert not (profiled / "profile.csv").exists()
@@ -130,7 +130,7 @@ def test_interrupt_leaves_a_checkpoint(tmp_path):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    scene = mrs.scenario.make("helical_swimmer", {}, quick=True)
+    scene = scenario_files.make("helical_swimmer", {}, quick=True)
     sim = scene.simulation(tmp_path / "run")
     sim.trackers.append(Interrupt())
     with pytest.raises(KeyboardInterrupt):
@@ -177,9 +177,9 @@ def test_mistakes_are_named(arguments, message, capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir()), "something was written"
 
 
-@pytest.mark.parametrize("name", mrs.scenario.known())
+@pytest.mark.parametrize("name", scenario_files.known())
 def test_scenarios_give_their_checked_number(name):
-    scene = mrs.scenario.make(name, {}, quick=True)
+    scene = scenario_files.make(name, {}, quick=True)
     result = scene.check(scene.simulation().run(scene.t_end))
     assert result.passed, str(result)
 
@@ -217,26 +217,26 @@ def test_errors_are_said_without_a_traceback(error, capsys, monkeypatch):
     def failed(directory):
         raise error("no OpenGL")
 
-    monkeypatch.setattr(mrs.runs, "info", failed)
+    monkeypatch.setattr(cli, "info", failed)
     assert cli.main(["info", "run"]) == 1
     assert capsys.readouterr().err == "mrs: no OpenGL\n"
 
 
 def test_a_scenario_of_ones_own(tmp_path):
     """A copy of a scenario in a file is run, and resumed, by its path."""
-    source = Path(inspect.getfile(mrs.scenario.find("helical_swimmer")))
+    source = Path(inspect.getfile(scenario_files.find("helical_swimmer")))
     mine = tmp_path / "mine.py"
     mine.write_text(source.read_text())
     run = tmp_path / "run"
     assert cli.main(["run", str(mine), "--quick", "--set", "t_end=0.05", "--output", str(run)]) == 0
     assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 0
-    assert mrs.runs.info(run)["time"] == 0.1
+    assert mrs.info(run)["time"] == 0.1
 
 
 def test_nothing_needs_pictures_to_compute():
     """pyvista, vtk, meshio, imageio and scipy's parts are imported by what uses them only."""
     heavy = {"pyvista", "vtk", "vtkmodules", "meshio", "imageio", "matplotlib", "scipy.spatial"}
-    code = f"import sys, mrs, mrs.cli; print(sorted({heavy} & set(sys.modules)))"
+    code = f"import sys, mrs, mrs.run.cli; print(sorted({heavy} & set(sys.modules)))"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
 
@@ -262,7 +262,7 @@ def test_stopped_between_the_files_of_two_bodies(tmp_path, monkeypatch):
 
 def test_interrupted_step_leaves_no_trace(monkeypatch):
     """The step size and the spectrum belong to the state: both are those before the step."""
-    sim = mrs.scenario.make("helical_swimmer", {}, quick=True).simulation()
+    sim = scenario_files.make("helical_swimmer", {}, quick=True).simulation()
     sim.step(0.05)
     before = sim.snapshot()
 
@@ -293,7 +293,7 @@ def test_stopped_before_the_first_frame(tmp_path, monkeypatch):
 def test_one_run_at_a_time_in_a_directory(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
-    with mrs.rundir.held(run):
+    with mrs.output.run_directory.held(run):
         assert cli.main(["resume", str(run), "--t-end", "1"]) == 1
         assert cli.main([*swim(run, 0.05), "--overwrite"]) == 1
     assert capsys.readouterr().err.count("a run is going on in it") == 2
@@ -304,9 +304,9 @@ def test_a_new_end_is_remembered(tmp_path, capsys):
     run = tmp_path / "run"
     assert cli.main(swim(run, 0.05)) == 0
     assert cli.main(["resume", str(run), "--t-end", "0.2", "--max-walltime", "0"]) == 0
-    assert not mrs.runs.info(run)["finished"]
+    assert not mrs.info(run)["finished"]
     assert cli.main(["resume", str(run)]) == 0
-    assert mrs.runs.info(run)["time"] == 0.2
+    assert mrs.info(run)["time"] == 0.2
     assert cli.main(["resume", str(run), "--t-end", "0.1"]) == 1
     assert "t_end must be at least the present time 0.2" in capsys.readouterr().err
 
@@ -338,15 +338,15 @@ def test_what_users_functions_give_is_checked(values):
 )
 def test_nearest_option_within_a_body(rods, meant):
     with pytest.raises(mrs.ScenarioError, match=f"did you mean '.*{meant}'"):
-        mrs.scenario.make("scene", {"rods": [rods]})
+        scenario_files.make("scene", {"rods": [rods]})
 
 
 def test_positions_of_swimmers_in_toml():
     swimmers = {"positions": [[0, 0, 0]], "orientations": [[0, 0, 1]], "length": 1, "force": 1}
-    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
+    scene = scenario_files.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
     (body,) = scene.simulation().bodies
     np.testing.assert_array_equal(body.positions, [[0.0, 0.0, 0.0]])
     del swimmers["positions"]
-    scene = mrs.scenario.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
+    scene = scenario_files.make("scene", {"fluid": {"epsilon": 0.1}, "swimmers": [swimmers]})
     with pytest.raises(mrs.ScenarioError, match="a suspension, or positions and orientations"):
         scene.simulation()

@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 import mrs
 import treecode as tc
-from mrs.mobility import Mobility
-from mrs.state import State
+from mrs.fluid.mobility import Mobility
+from mrs.time.state import State
 from tests.cases import rod_oracle as oracle
 
 MODULI = {"bending": 0.02, "twisting": 0.03, "shearing": 0.3, "stretching": 0.4}
@@ -41,7 +41,7 @@ def displaced():
     """Return the direct rates of the forest, where it is after five steps, and how far that is."""
     sim = forest("direct")
     start = sim.state.positions
-    motion = sim.evaluate(0.0, sim.state).motion
+    motion = sim.now.motion
     end = sim.run(0.05).state.positions
     assert sim.mobility.pairs == 3000**2
     return motion, end, np.linalg.norm(end - start)
@@ -73,7 +73,7 @@ def test_treecode_trajectories(name, degrees, displaced):
 def test_sums_keep_their_tolerance(tolerance, name, displaced):
     """For velocities and for angular velocities, of which one is 30 times the other here."""
     sim = forest(mrs.Backend(name, tolerance=tolerance))
-    motion, exact = sim.evaluate(0.0, sim.state).motion, displaced[0]
+    motion, exact = sim.now.motion, displaced[0]
     for part in (np.s_[:, :3], np.s_[:2400, 3:]):
         error = np.linalg.norm(motion[part] - exact[part]) / np.linalg.norm(exact[part])
         assert error <= tolerance
@@ -128,7 +128,7 @@ def rods(**options):
 def test_swimmers_need_no_torques(sums):
     """The 3 by 3 kernel, and no columns for torques or angular velocities anywhere."""
     sim = mrs.Simulation(mrs.Fluid(), [swimmers()], backend="direct")
-    now = sim.evaluate(0.0, sim.state)
+    now = sim.now
     assert sums == [("RegularizedStokeslet", 14, 14, 3, 3)]
     assert now.loads.shape == now.motion.shape == (14, 3)
     assert sim.mobility.pairs == 14**2
@@ -136,7 +136,7 @@ def test_swimmers_need_no_torques(sums):
 
 def test_tracers_are_targets_only(sums):
     sim = mrs.Simulation(mrs.Fluid(), [tracers(), swimmers()], backend="direct")
-    sim.evaluate(0.0, sim.state)
+    assert sim.now
     assert sums == [("RegularizedStokeslet", 14, count, 3, 3) for count in (14, 11)]
     assert sim.mobility.pairs == 14 * (11 + 14)
 
@@ -144,7 +144,7 @@ def test_tracers_are_targets_only(sums):
 def test_only_rods_are_asked_for_angular_velocities(sums):
     """Torques act on all, swimmers' forces turn rods, and nobody else is turned."""
     sim = mrs.Simulation(mrs.Fluid(), [swimmers(), rods(), tracers()], backend="direct")
-    sim.evaluate(0.0, sim.state)
+    assert sim.now
     assert sorted(sums) == [
         ("RegularizedStokeslet", 14, 11, 3, 3),
         ("RegularizedStokeslet", 14, 14, 3, 3),
@@ -157,7 +157,7 @@ def test_only_rods_are_asked_for_angular_velocities(sums):
 
 def test_every_blob_size_is_one_sum(sums):
     sim = mrs.Simulation(mrs.Fluid(), [swimmers(flagellum_epsilon=0.2)], backend="direct")
-    sim.evaluate(0.0, sim.state)
+    assert sim.now
     assert sums == [("RegularizedStokeslet", 7, 14, 3, 3)] * 2
 
 
@@ -234,7 +234,7 @@ def test_shear_turns_triads_by_half_its_vorticity():
     rod = rods(intrinsic_curvature="initial")
     fluid = mrs.Fluid(background=mrs.flows.shear(3.0))
     sim = mrs.Simulation(fluid, [rod], backend="direct")
-    u, w = np.split(sim.rates(0.0, sim.state), 2)
+    u, w = np.split(sim.now.rates, 2)
     expected = np.outer(rod.positions[:, 2], [3.0, 0.0, 0.0])
     # Forces of a rod at rest are rounding, 1e-16 of its moduli, times 1 / eps^3.
     np.testing.assert_allclose(u, expected, rtol=0, atol=1e-13)
@@ -350,7 +350,7 @@ def test_mixed_scene(base):
     expected = mixed.rates()
     # The matrix root of the oracle is good to 1e-14; b / ds, and 1 / (8 pi mu eps^3), amplify.
     scale = 1e-13 * np.abs(expected).max()
-    np.testing.assert_allclose(mixed.sim.rates(0.0, mixed.sim.state), expected, atol=scale)
+    np.testing.assert_allclose(mixed.sim.now.rates, expected, atol=scale)
 
 
 def test_velocity_anywhere():
@@ -388,7 +388,7 @@ def test_clamped_base():
 def test_base_bears_what_the_fluid_does_not():
     """Forces on the fluid and on the holder cancel, for the rods' internal forces do."""
     rod, sim = rods_with("clamped")
-    now = sim.evaluate(sim.time, sim.state)
+    now = sim.now
     np.testing.assert_array_equal(now.loads[[0, 6]], 0.0)
     on_fluid = now.loads[:, :3].reshape(2, 6, 3).sum(axis=1)
     on_holder = rod.base_force(sim.time, sim.state)

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 import mrs
 import treecode as tc
-from mrs.mobility import Mobility
+from mrs.fluid.mobility import Mobility
 from treecode.fmm import multipole
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.02)
@@ -75,12 +75,12 @@ def test_one_simulation_in_two_threads():
     sim = suspension(backend=mrs.Backend("kitc", theta=0.6, degree=3, leaf_size=50))
     states = [sim.state._replace(positions=s * sim.state.positions) for s in (1.0, 1.1, 1.2)]
     where = np.random.default_rng(0).uniform(0.0, 5.0, (500, 3))
-    alone = [sim.rates(0.0, state) for state in states]
+    alone = [sim.scene.rates(0.0, state) for state in states]
     field = sim.velocity(where)
     with ThreadPoolExecutor(4) as pool:
         for _ in range(5):
             asked = pool.submit(sim.velocity, where)
-            together = list(pool.map(lambda state: sim.rates(0.0, state), states))
+            together = list(pool.map(lambda state: sim.scene.rates(0.0, state), states))
             assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))
             assert np.array_equal(asked.result(), field)
     assert all(seconds >= 0.0 for seconds in sim.profile.seconds.values())

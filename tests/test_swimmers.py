@@ -22,7 +22,7 @@ def swim(x, p, stroke="pusher", integrator="bs32", fluid=None, **parameters):
 
 def rates(sim):
     """Return dx_B/dt and dp/dt = w x p."""
-    values = sim.rates(0.0, sim.state)
+    values = sim.now.rates
     count = len(sim.state.positions)
     p = sim.bodies[0].orientations(sim.state.quaternions)
     return values[:count], np.cross(values[count:], p)
@@ -161,7 +161,7 @@ def test_steric_formula():
             neighbours = pieces[i] == pieces[j] and abs(places[i] - places[j]) <= 0.5
             if i != j and not neighbours:
                 expected[i] += pair_force(points[i] - points[j])
-    forces = STERIC.forces(points, pieces, places, np.full(len(points), np.inf))
+    forces = STERIC.between(points, pieces, places, np.full(len(points), np.inf))
     assert abs(expected).max() > 1.0
     np.testing.assert_allclose(forces, expected, rtol=0, atol=1e-13 * abs(expected).max())
     # Pairwise: no net force and no net torque. 60 sums of roundings of the largest force.
@@ -175,7 +175,7 @@ def test_steric_formula():
 def test_steric_at_contact_and_at_reach(distance, share):
     """The force is `strength` where spheres of radius a touch and fades out smoothly at 2 chi a."""
     points = 0.2 * np.array([[0.0, 0.0, 0.0], [0.0, distance, 0.0]])
-    force = STERIC.forces(points, np.arange(2), np.zeros(2), np.full(2, np.inf))[1, 1]
+    force = STERIC.between(points, np.arange(2), np.zeros(2), np.full(2, np.inf))[1, 1]
     if share is None:
         # nearness = (2.5^2 - 2.499^2) / (2.5^2 - 2^2) = 2.2e-3, to the fourth power.
         assert 0.0 < force < STERIC.strength * 1e-9
@@ -188,7 +188,7 @@ def test_steric_in_a_scene():
     x, p = np.array([[0.0, 0.0, 0.0], [0.41, 0.05, 0.1]]), PAIR[1]
     swimmers = mrs.Swimmers(x, p, length=0.3, force=F)  # shorter than the reach of the repulsion
     fluid = mrs.Fluid(viscosity=1.0, epsilon=EPSILON)
-    sim = mrs.Simulation(fluid, [swimmers], backend="direct", steric=STERIC)
+    sim = mrs.Simulation(fluid, [swimmers], backend="direct", forces=[STERIC])
     points = oracle.swimmer_points(x, p, np.full(2, 0.3), 1.0)
     push = np.zeros_like(points)
     for i in range(4):
@@ -205,7 +205,7 @@ def test_steric_in_a_scene():
     for mine, theirs in zip(rates(sim), expected, strict=True):
         np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-12)
     # The forces of swimmers and of repulsion, together: nothing pulls on the fluid.
-    loads = sim.evaluate(0.0, sim.state).loads
+    loads = sim.now.loads
     np.testing.assert_allclose(loads.sum(axis=0), 0.0, atol=1e-14)
 
 
@@ -213,8 +213,8 @@ def test_steric_spares_neighbours_on_a_ring():
     """The first and the last node of a closed rod are neighbours."""
     ring = mrs.geometry.ring(1.0, 40)  # 0.157 from node to node, the reach is 0.5
     rod = mrs.Rods(ring, bending=1.0, twisting=1.0, shearing=1.0, stretching=1.0, epsilon=0.3)
-    sim = mrs.Simulation(mrs.Fluid(), [rod], backend="direct", steric=STERIC)
-    np.testing.assert_allclose(sim.evaluate(0.0, sim.state).loads, 0.0, atol=1e-13)
+    sim = mrs.Simulation(mrs.Fluid(), [rod], backend="direct", forces=[STERIC])
+    np.testing.assert_allclose(sim.now.loads, 0.0, atol=1e-13)
 
 
 # --- suspensions ----------------------------------------------------------------------

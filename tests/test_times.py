@@ -4,27 +4,25 @@ import csv
 import warnings
 from fractions import Fraction
 from math import floor
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import mrs
 from mrs.output import vtkhdf
-from mrs.trackers import Tracker, next_stop
+from mrs.time.interrupts import next_stop
 
 
 def stops(intervals, t_end, start=0.0):
-    """Return the times at which a run with trackers of such intervals stops, and who is due."""
-    trackers = []
-    for interval in intervals:
-        tracker = Tracker()
-        tracker.interval = interval
-        trackers.append(tracker)
-    times, due = [start], [[] for _ in trackers]
+    """Return the times at which a run with such interrupts stops, and which of them are due."""
+    interrupts = [mrs.Interval(interval) for interval in intervals]
+    times, due = [start], [[] for _ in interrupts]
     while times[-1] < t_end:
-        times.append(next_stop(trackers, times[-1], t_end))
-        for tracker, own in zip(trackers, due, strict=True):
-            if tracker.due(*times[-2:]):
+        times.append(next_stop(interrupts, times[-1], t_end))
+        before, now = (mrs.Moment(time, 0, 0.0) for time in times[-2:])
+        for interrupt, own in zip(interrupts, due, strict=True):
+            if interrupt.due(before, SimpleNamespace(moment=now)):
                 own.append(times[-1])
     return times, due
 
@@ -100,7 +98,7 @@ def frames_and_rows(tmp_path):
     [(0.3, 0.1, 4), (0.6, 0.2, 4), (1.2, 0.1, 13), (0.94, 0.02, 48), (0.25, 0.1, 4), (0.3, 7.0, 2)],
 )
 def test_the_last_state_is_a_frame_and_a_row(tmp_path, t_end, interval, frames):
-    sim = tracer(t_end, interval, tmp_path, live=True)
+    sim = tracer(t_end, interval, tmp_path, formats=["vtkhdf", "pvd"])
     times, rows, last = frames_and_rows(tmp_path)
     assert times == rows
     assert len(times) == frames
@@ -122,8 +120,8 @@ def test_going_on_from_an_end_keeps_the_step_size(tmp_path):
 class Counting(mrs.Tracker):
     """Notes when it is called."""
 
-    def __init__(self, interval):
-        self.interval = interval
+    def __init__(self, when):
+        self.when = when
         self.times, self.ended = [], False
 
     def handle(self, sim):
@@ -142,7 +140,7 @@ def circling(period=1.0, **options):
 
 
 def test_a_tracker_is_called_at_its_interval_and_at_the_end():
-    slow, every = Counting(0.25), Counting(None)
+    slow, every = Counting(mrs.Interval(0.25)), Counting(mrs.Steps())
     sim = circling(trackers=[slow, every], integrator=mrs.Integrator("rk4", dt=0.05)).run(0.6)
     assert slow.times == [0.25, 0.5, 0.6]
     assert len(every.times) == sim.stepper.steps >= 12
@@ -150,8 +148,13 @@ def test_a_tracker_is_called_at_its_interval_and_at_the_end():
 
 @pytest.mark.parametrize("interval", [0, -1.0, np.nan, "0.1"])
 def test_an_interval_that_is_none_is_refused(interval):
-    with pytest.raises((TypeError, ValueError), match=r"Counting\.interval must be a number"):
-        circling(trackers=[Counting(interval)]).run(0.1)
+    with pytest.raises((TypeError, ValueError), match="interval must be a number"):
+        mrs.Interval(interval)
+
+
+def test_a_tracker_without_an_interrupt_is_refused():
+    with pytest.raises(TypeError, match=r"Counting\.when must be mrs\.Interrupt, got 0\.1"):
+        circling(trackers=[Counting(0.1)]).run(0.1)
 
 
 def test_trackers_are_trackers():
@@ -164,8 +167,8 @@ def test_a_finalizer_that_fails_leaves_none_out():
         def finalize(self, sim):
             raise OSError("no room")
 
-    before, after = Counting(0.1), Counting(0.1)
-    sim = circling(trackers=[before, Failing(0.1), after])
+    before, after = (Counting(mrs.Interval(0.1)) for _ in range(2))
+    sim = circling(trackers=[before, Failing(mrs.Interval(0.1)), after])
     with pytest.raises(mrs.SimulationError, match=r"Failing\.finalize: no room"):
         sim.run(0.2)
     assert before.ended
@@ -181,12 +184,12 @@ def test_a_finalizer_that_fails_does_not_hide_why_a_run_stopped():
         def finalize(self, sim):
             raise OSError("no room")
 
-    after = Counting(0.1)
+    after = Counting(mrs.Interval(0.1))
     with (
         pytest.warns(UserWarning, match=r"Failing\.finalize: no room"),
         pytest.raises(KeyboardInterrupt),
     ):
-        circling(trackers=[Failing(0.1), after]).run(0.2)
+        circling(trackers=[Failing(mrs.Interval(0.1)), after]).run(0.2)
     assert after.ended
 
 
@@ -231,7 +234,7 @@ def scaled_fibre(length, time):
     )
     fluid = mrs.Fluid(epsilon=0.2 * length, background=mrs.flows.shear(1.0 / time))
     bodies = [rod, mrs.Tracers([[0.0, 0.0, 3.0 * length]])]
-    return mrs.Simulation(fluid, bodies, steric=mrs.Steric(4.0 * length**2 / time, 0.05 * length))
+    return mrs.Simulation(fluid, bodies, forces=[mrs.Steric(4.0 * length**2 / time, 0.05 * length)])
 
 
 @pytest.mark.parametrize(("length", "time"), [(2.0**-20, 1.0), (2.0**20, 2.0**-10), (1.0, 2.0**16)])

@@ -8,14 +8,20 @@ import os
 import shutil
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import h5py
 import numpy as np
 
-from mrs.output.atomic import DamagedError, replacing
+from mrs.output.atomic import DamagedError, replacing, sync
 from mrs.output.hdf5 import File
+from mrs.output.trackers import Tracker
+from mrs.time.interrupts import WallTime
+
+if TYPE_CHECKING:
+    from mrs.run.simulation import Simulation
 
 
 def save(
@@ -133,3 +139,41 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
     raise TypeError(f"a checkpoint cannot hold {value!r} among its attributes")
+
+
+class Checkpoints(Tracker):
+    """Saves the simulation every so many seconds of real time, and at the end.
+
+    Parameters
+    ----------
+    path : Path
+        For example ``checkpoint.h5``.
+    seconds : float
+    """
+
+    def __init__(self, path: Path, seconds: float) -> None:
+        self.path, self.when = path, WallTime(seconds)
+        self._saved: float | None = None
+
+    def initialize(self, sim: Simulation) -> None:
+        self._saved = None
+        if not sim.resumed:
+            self._save(sim)
+
+    def output_files(self, sim: Simulation) -> list[Path]:
+        return [self.path, previous(self.path)]
+
+    def handle(self, sim: Simulation) -> None:
+        if sim.time < sim.t_end:  # the one of the end knows the last frames
+            self._save(sim)
+
+    def finalize(self, sim: Simulation) -> None:
+        if self._saved != sim.time:
+            self._save(sim)
+
+    def _save(self, sim: Simulation) -> None:
+        for name in sim.written:  # a power cut must not keep the checkpoint, and not their frames
+            with suppress(FileNotFoundError):
+                sync(self.path.parent / name)
+        save(self.path, *sim.snapshot())
+        self._saved = sim.time

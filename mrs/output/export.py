@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from mrs import rundir
+from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.frames import Frames, trajectory_paths
 from mrs.output.vtkhdf import Topology, Trajectory
@@ -80,7 +80,7 @@ def export(
             numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
             own = {i: destination / f"{path.stem}_{i:06d}.{suffix}" for i in numbers}
             made = [destination / f"{path.stem}.pvd"] if suffix in _WITH_LIST else []
-            rundir.note_made(directory, *own.values(), *made)
+            run_directory.note_made(directory, *own.values(), *made)
             for i, file in own.items():
                 _write(trajectory, i, file)
         files += own.values()

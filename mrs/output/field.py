@@ -99,7 +99,7 @@ def seeds_in(points: ArrayLike, count: int) -> np.ndarray:
     return low + size * np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def write_field(
+def write_grid(
     path: str | os.PathLike[str],
     grid: Grid,
     arrays: Mapping[str, ArrayLike],

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from mrs import rundir
+from mrs.output import run_directory
 from mrs.output.vtkhdf import Trajectory
 
 
@@ -23,7 +23,7 @@ def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
     FileNotFoundError
         If there are none.
     """
-    own = set(rundir.noted(directory))
+    own = set(run_directory.noted(directory))
     paths = sorted(Path(directory).glob("[!.]*.vtkhdf"))
     paths = [path for path in paths if path in own or not own]
     if not paths:

@@ -6,12 +6,19 @@ import csv
 import io
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from mrs.output.atomic import DamagedError, replacing, telling
+from mrs.output.frame_files import FrameFile
+from mrs.time.interrupts import Interval
+
+if TYPE_CHECKING:
+    from mrs.run.simulation import Simulation
 
 _SAME = 1e-12  # of a time: other programs write fewer digits
 
@@ -162,3 +169,79 @@ def _value(text: str) -> float | str | None:
         with suppress(ValueError):
             return kind(text)
     return text or None
+
+
+def _sampled_error(sim: Simulation) -> float:
+    """Return the error of the sums at points drawn at random: it costs a sum and direct ones."""
+    now = sim.now
+    with sim.profile.stage("error samples"):
+        return sim.mobility.sampled_error(now.points, now.loads)
+
+
+def _max_speed(sim: Simulation) -> float:
+    return float(np.linalg.norm(sim.now.motion[:, :3], axis=1).max(initial=0.0))
+
+
+COLUMNS: dict[str, Callable[[Simulation], Any]] = {
+    "step": lambda sim: sim.stepper.steps,
+    "t": lambda sim: sim.time,
+    "dt": lambda sim: sim.stepper.taken,
+    "wall": lambda sim: round(sim.moment.seconds, 3),
+    "rejections": lambda sim: sim.stepper.rejections,
+    "evaluations": lambda sim: sim.mobility.evaluations,
+    "max_speed": _max_speed,
+    "elastic_energy": lambda sim: sim.energy(),
+    "sampled_error": _sampled_error,
+    "dt_lambda_max": lambda sim: sim.stepper.h_lambda,
+    "backends": lambda sim: " ".join(map(str, sim.mobility.choices)),
+}
+_EVERY = {"sampled_error": 10}  # rows that have a value in a column; others have one in each row
+
+
+class LogFile(FrameFile):
+    """log.csv: how the run is doing.
+
+    Parameters
+    ----------
+    path : Path
+    when : Interval
+        Between the rows.
+    columns : dict of functions
+        The user's own, besides `COLUMNS`.
+    """
+
+    def __init__(
+        self, path: Path, when: Interval, columns: Mapping[str, Callable[[Simulation], Any]]
+    ) -> None:
+        super().__init__(path)
+        self.when, self.columns = when, {**COLUMNS, **columns}
+
+    def times(self, sim: Simulation) -> list[float]:
+        found = times(self.path)
+        header = next(iter(_lines(self.path)), [*self.columns])
+        if found and header != [*self.columns]:
+            wanted = ", ".join(self.columns)
+            raise DamagedError(self.path, f"has the columns {', '.join(header)}, not {wanted}")
+        return found
+
+    def cut(self, sim: Simulation) -> float | None:
+        return cut(self.path, sim.time)
+
+    def write(self, sim: Simulation) -> None:
+        number = self.when.count(sim.time)
+        append(
+            self.path,
+            {
+                name: "" if number % _EVERY.get(name, 1) else _cell(name, column(sim))
+                for name, column in self.columns.items()
+            },
+        )
+
+
+def _cell(name: str, value: Any) -> Any:
+    """Return the value of a column if a row can hold it."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if not isinstance(value, (bool, int, float, str)):
+        raise TypeError(f"columns[{name!r}] must give a number or a text, got {value!r}")
+    return value

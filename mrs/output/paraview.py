@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from mrs.output.atomic import telling
+from mrs.output.trackers import Tracker
+from mrs.time.interrupts import Never
+
+if TYPE_CHECKING:
+    from mrs.run.simulation import Simulation
 
 MACRO = Path("paraview") / "open_in_paraview.py"  # in the run directory
 
@@ -114,3 +120,22 @@ def write_macro(directory: str | os.PathLike[str]) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(_MACRO.format(directory=str(directory.resolve())), encoding="utf-8")
     return path
+
+
+class Macro(Tracker):
+    """Writes the macro of a run at its start.
+
+    Parameters
+    ----------
+    directory : Path
+        Of the run.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._directory, self.when = directory, Never()
+
+    def initialize(self, sim: Simulation) -> None:
+        write_macro(self._directory)
+
+    def output_files(self, sim: Simulation) -> list[Path]:
+        return [self._directory / MACRO]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mrs import rundir
+from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.frames import Frames, trajectories
 from mrs.output.vtkhdf import Trajectory
@@ -136,7 +136,7 @@ def render(
         stage = _stage(bodies, frames, camera, size, background)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
-        rundir.note_made(directory, destination)
+        run_directory.note_made(directory, destination)
         pictures = (_picture(bodies, places, colors, stage) for places in frames)
         with replacing(destination) as temporary:
             _write(temporary, pictures, fps)

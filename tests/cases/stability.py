@@ -19,7 +19,7 @@ from scipy.special import kv
 
 import mrs
 import treecode as tc
-from mrs.integrators import METHODS
+from mrs.time.integrators import METHODS
 from tests.cases import rod_oracle
 from tests.cases.oracle import (
     BACKENDS,
@@ -513,7 +513,7 @@ def local_rates(sim):
 
     def rates(z):
         z = z.reshape(shape)
-        return state.local_rates(z, sim.rates(sim.time, state.moved(z))).ravel()
+        return state.local_rates(z, sim.scene.rates(sim.time, state.moved(z))).ravel()
 
     return rates
 
@@ -589,7 +589,7 @@ def _scaled_scene(power, name, sums):
         [rod, swimmers],
         backend=mrs.Backend(sums, degree=1, leaf_size=4),
         integrator=mrs.Integrator(name),
-        steric=mrs.Steric(5.0, 0.15 * unit),
+        forces=[mrs.Steric(5.0, 0.15 * unit)],
     ).run(0.25 * unit**2)
 
 
@@ -648,7 +648,7 @@ def rod_at_rest(steps):
 
 def _imbalance(sim):
     """Return the net force, and torque, in roundings of the largest loads times nodes."""
-    now = sim.evaluate(sim.time, sim.state)
+    now = sim.now
     X, f, n = now.points, now.loads[:, :3], now.loads[:, 3:]
     force = abs(f.sum(axis=0)).max() / abs(f).max()
     torque = abs((np.cross(X, f) + n).sum(axis=0)).max()
@@ -859,20 +859,20 @@ def head_on():
     """
     for stroke, sign in (("pusher", 1.0), ("puller", -1.0)):
         stop = brentq(partial(_approach, sign), REACH / 3.0, REACH)  # from the largest force
-        free, _ = _met(stroke, 1, 0.0, None)
+        free, _ = _met(stroke, 1, 0.0, [])
         yield at_most(f"two {stroke}s on an axis, no repulsion: least distance", free, 0.02)
-        least, end = _met(stroke, 1, 0.0, STERIC)
+        least, end = _met(stroke, 1, 0.0, [STERIC])
         yield at_least(f"two {stroke}s on an axis: least distance", least, stop * (1 - 1e-3))
         asked = f"two {stroke}s on an axis: distance in the end"
         yield Finding(asked, end, stop * (1 - 1e-3), stop * (1 + 1e-3))
         contact = CONTACT if stroke == "pusher" else stop
         for count, aside in ((1, 1e-3), (4, 1e-3), (4, 0.1)):
-            least, _ = _met(stroke, count, aside, STERIC)
+            least, _ = _met(stroke, count, aside, [STERIC])
             asked = f"{2 * count} {stroke}s, {aside} off axis: least distance"
             yield at_least(asked, least, contact)
 
 
-def _met(stroke, count, aside, steric):
+def _met(stroke, count, aside, forces):
     """Return the least distance of particles on the way, and that in the end."""
     y = 0.7 * np.arange(count)
     left = np.column_stack([np.full(count, -1.5), y, 0.0 * y])
@@ -882,7 +882,7 @@ def _met(stroke, count, aside, steric):
         x -= p  # the flagella, before the bodies, meet
     swimmers = mrs.Swimmers(x, p, length=1.0, force=1.0, stroke=stroke)
     integrator = mrs.Integrator("bs32", tolerance=1e-5)
-    sim = simulate([swimmers], 0.1, integrator, steric=steric)
+    sim = simulate([swimmers], 0.1, integrator, forces=forces)
     distances = [_apart(sim)]
     while sim.time < 5.0:
         sim.step(5.0)
@@ -930,7 +930,7 @@ def self_contact():
     reach = 2.0 * steric.chi * steric.radius
     i, j = np.array([i, j])[:, (j - i) * length / (nodes - 1) > reach * (1.0 + 1e-9)]
     for with_steric in (True, False):
-        sim = simulate([rod], 0.1, steric=steric if with_steric else None)
+        sim = simulate([rod], 0.1, forces=[steric] if with_steric else [])
         least, balance, energy = [], [], []
         while sim.time < 4.0:
             sim.step(4.0)

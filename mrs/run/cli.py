@@ -12,11 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from mrs import __version__, runs, scenario, signals
-from mrs.rundir import tomllib
-from mrs.scenario import ScenarioError
-from mrs.simulation import Simulation
-from mrs.trackers import ProfileTable, Progress, Tracker
+from mrs.output.run_directory import tomllib
+from mrs.output.trackers import Tracker
+from mrs.run import scenario_files, signals
+from mrs.run.info import info
+from mrs.run.reports import ProfileTable, Progress
+from mrs.run.resuming import resume, scenario_of
+from mrs.run.scenario import Scenario, ScenarioError
+from mrs.run.simulation import Simulation
+from mrs.run.velocity import write_field
+from treecode.version import __version__
 
 _EPILOG = """\
 examples:
@@ -85,7 +90,7 @@ def _in_users_file(error: Exception) -> bool:
     """Return whether the error came out of a scenario in a file of the user's: show where."""
     frames = (frame for frame, _ in traceback.walk_tb(error.__traceback__))
     modules = (frame.f_globals.get("__name__", "") for frame in frames)
-    return any(module.startswith(scenario.FILE_PREFIX) for module in modules)
+    return any(module.startswith(scenario_files.FILE_PREFIX) for module in modules)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -138,10 +143,10 @@ def _run(options: argparse.Namespace) -> int:
     name = options.scene
     values: dict[str, Any] = {}
     if Path(name).suffix.lower() == ".toml":
-        name, values = runs.read_input(name)
+        name, values = scenario_files.read_input(name)
     for item in options.set:
         _assign(values, item)
-    scene = scenario.make(name, values, quick=options.quick)
+    scene = scenario_files.make(name, values, quick=options.quick)
     if options.options:
         _print_options(scene)
         return 0
@@ -180,13 +185,13 @@ def _assign(values: dict[str, Any], item: str) -> None:
         values[last] = text.strip()
 
 
-def _print_options(scene: scenario.Scenario) -> None:
+def _print_options(scene: Scenario) -> None:
     values = scene.model_dump(mode="json")
     for name, field in type(scene).model_fields.items():
         print(f"{name} = {json.dumps(values[name])}\n    {field.description or ''}")
 
 
-def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
+def _report(sim: Simulation, scene: Scenario, directory: Path) -> bool:
     """Say what a run has come to; return False if it is at its end with a wrong number."""
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
@@ -202,7 +207,7 @@ def _report(sim: Simulation, scene: scenario.Scenario, directory: Path) -> bool:
 
 def _resume(options: argparse.Namespace) -> int:
     options.going = options.directory
-    sim = runs.resume(
+    sim = resume(
         options.directory,
         options.t_end,
         _trackers(options),
@@ -211,12 +216,12 @@ def _resume(options: argparse.Namespace) -> int:
         renew_files=options.renew_files,
     )
     options.going = None
-    passed = _report(sim, runs.scenario_of(options.directory), options.directory)
+    passed = _report(sim, scenario_of(options.directory), options.directory)
     return 0 if passed else 1
 
 
 def _info(options: argparse.Namespace) -> None:
-    found = runs.info(options.directory)
+    found = info(options.directory)
     if options.json:
         print(json.dumps(found, indent=2))
         return
@@ -236,10 +241,10 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def _check(options: argparse.Namespace) -> int:
-    names = [options.scene] if options.scene else scenario.known()
+    names = [options.scene] if options.scene else scenario_files.known()
     passed = True
     for name in names:
-        scene = scenario.make(name, {}, quick=not options.full)
+        scene = scenario_files.make(name, {}, quick=not options.full)
         result = scene.check(scene.simulation().run(scene.t_end))
         print(f"{name}: {result}", flush=True)
         passed &= result.passed
@@ -272,7 +277,7 @@ def _render(options: argparse.Namespace) -> None:
 
 
 def _field(options: argparse.Namespace) -> None:
-    found = runs.write_field(options.directory, options.frame, options.resolution, options.output)
+    found = write_field(options.directory, options.frame, options.resolution, options.output)
     print(*found.paths, sep="\n")
     print(
         f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
@@ -299,7 +304,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         {
             "scene": {
                 "metavar": "SCENARIO|FILE.toml|FILE.py[:CLASS]",
-                "help": f"one of {', '.join(scenario.known())}; or a file",
+                "help": f"one of {', '.join(scenario_files.known())}; or a file",
             },
             "--quick": {"action": "store_true", "help": "a small version that ends within seconds"},
             "--output": {

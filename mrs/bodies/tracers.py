@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check
-from mrs.bodies import Body
-from mrs.state import State
+from mrs.bodies.base import Body
+from mrs.time.state import State
 
 
 @check.spelling

@@ -11,17 +11,18 @@ from typing import Any, ClassVar, Literal, Protocol
 import numpy as np
 
 from mrs import check
-from mrs.integrators import METHODS
-from mrs.integrators.spectral import spectral_radius
-from mrs.state import State
+from mrs.time.integrators import METHODS, Problem
+from mrs.time.integrators.base import Arrays
+from mrs.time.integrators.spectral import MARGIN, spectral_radius
+from mrs.time.state import State
 
 _SAFETY = 0.8  # of step sizes against the error and the stability limit
-_MARGIN = 1.1  # of the spectral radius, an estimate from below
 _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: lengths of bodies, radians
-_WARNING = 1.02  # as `_MARGIN`, where too early a warning is as bad as one too late
+_WARNING = 1.02  # as `MARGIN`, where too early a warning is as bad as one too late
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
+_MEMORY = "memory/"  # before the names of what a method remembers
 _LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
 
 
@@ -32,7 +33,8 @@ class Integrator:
 
     Parameters
     ----------
-    name : {"rkc2", "euler", "heun", "rk4", "bs32"}
+    name : str
+        "rkc2", "euler", "heun", "rk4", "bs32", or one that was registered
     dt : float or "auto", optional
         A fixed step; or "auto": from the error with methods that estimate theirs ("rkc2", "bs32"),
         with the others from the stability limit and so that nothing moves by more than a tenth of
@@ -58,8 +60,8 @@ class Integrator:
         check.number("tolerance", self.tolerance, 0.0, 1.0)
 
 
-class Problem(Protocol):
-    """What is to be integrated."""
+class System(Protocol):
+    """What is to be integrated: a scene."""
 
     error_scale: np.ndarray
     """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
@@ -94,6 +96,7 @@ class Stepper:
         self.taken = 0.0
         self.radius = 0.0
         self.vector: np.ndarray | None = None
+        self.memory: Arrays | None = None
         self.steps = 0
         self.rejections = 0
         self._renew_at = 0
@@ -104,15 +107,18 @@ class Stepper:
         """The last step times the spectral radius."""
         return self.taken * self.radius
 
-    def history(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    def history(self) -> tuple[Arrays, dict[str, Any]]:
         """Return what the next step depends on besides the state."""
         arrays = {} if self.vector is None else {"vector": self.vector}
+        arrays |= {_MEMORY + name: array for name, array in (self.memory or {}).items()}
         names = ("h", "taken", "radius", "steps", "rejections", "_renew_at")
         return arrays, {name.lstrip("_"): getattr(self, name) for name in names}
 
-    def restore(self, arrays: dict[str, np.ndarray], values: dict[str, Any]) -> None:
+    def restore(self, arrays: Arrays, values: dict[str, Any]) -> None:
         """Take up a history."""
         self.vector = arrays.get("vector")
+        own = {k.removeprefix(_MEMORY): v for k, v in arrays.items() if k.startswith(_MEMORY)}
+        self.memory = own or None
         self.h, self.taken, self.radius = values["h"], values["taken"], values["radius"]
         self.steps, self.rejections = values["steps"], values["rejections"]
         self._renew_at = values["renew_at"]
@@ -122,7 +128,7 @@ class Stepper:
         self.steps, self.rejections = values["steps"], values["rejections"]
         self._renew_at = self.steps
 
-    def step(self, problem: Problem, time: float, state: State, stop: float) -> tuple[float, State]:
+    def step(self, system: System, time: float, state: State, stop: float) -> tuple[float, State]:
         """Return time and state after one accepted step, not beyond `stop`.
 
         Raises
@@ -130,15 +136,17 @@ class Stepper:
         NotFiniteError
             With the first row of the coordinates that is not finite.
         """
-        rates = problem.rates(time, state)
+        rates = system.rates(time, state)
         _require_finite(rates)
         z = state.coordinates()
+        if self.memory is None:
+            self.memory = self.method.init(z)
 
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
         blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
 
         def local_rates(t: float, z: np.ndarray) -> np.ndarray:
-            return state.local_rates(z, problem.rates(t, state.moved(z)))
+            return state.local_rates(z, system.rates(t, state.moved(z)))
 
         def f(t: float, z: np.ndarray) -> np.ndarray:
             try:
@@ -153,18 +161,17 @@ class Stepper:
         retried = False
         while True:
             if retried or self.steps >= self._renew_at:
-                small = problem.perturbation
+                small = system.perturbation
                 if not small.all():
                     small = _filled(small, _SMALL * z, _SMALL * interval * rates)
                 self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
-            h = self._size(interval, rates, problem.error_scale)
+            h = self._size(interval, rates, system.error_scale)
             self.taken = h
             lost.clear()
             blamed.clear()
-            new, error = self.method.step(
-                f, time, z, rates, h, self.method.stages(_MARGIN * h * self.radius)
-            )
-            unit = problem.error_scale
+            problem = Problem(f, rates, self.radius)
+            new, error, memory = self.method.step(problem, time, z, h, self.memory)
+            unit = system.error_scale
             if not unit.all():
                 unit = _filled(unit, new - z, h * rates)
             ratio = self._error_ratio(new, error, unit)
@@ -174,6 +181,7 @@ class Stepper:
             self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
             retried = True
         self.steps += 1
+        self.memory = memory or {}
         if self.adaptive:
             # One shortened to end on time says nothing against the longer one that was wanted.
             self.h = self._next(h, ratio, h if retried else max(5.0 * h, self.h or 0.0))
@@ -183,11 +191,11 @@ class Stepper:
     def _size(self, interval: float, rates: np.ndarray, scale: np.ndarray) -> float:
         """Return the step to try: whole steps fill the interval evenly, none is left tiny."""
         limit = (
-            self.method.stability_interval() / (_MARGIN * self.radius) if self.radius else math.inf
+            self.method.stability_interval() / (MARGIN * self.radius) if self.radius else math.inf
         )
         if self.fixed is not None:
             self.h = self.fixed
-            self._warn(limit * _MARGIN / _WARNING)
+            self._warn(limit * MARGIN / _WARNING)
         elif not self.adaptive:
             self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates, scale))
         elif self.h is None:

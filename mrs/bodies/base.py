@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mrs.describe import described, own_code
-from mrs.state import State
+from mrs.time.state import State
 
 
 class Body:

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mrs.integrators.base import RightHandSide
+from mrs.time.integrators.base import Arrays, Problem, Step
+from mrs.time.integrators.spectral import MARGIN
 
 _DAMPING = 2.0 / 13.0
 _MAX_STAGES = 250
@@ -60,17 +61,24 @@ class Chebyshev:
     error_order = 2
 
     def stages(self, h_lambda: float) -> int:
-        """Return the smallest number of stages that is stable, from 2 to 250 (SSV eq. 2.5)."""
+        """Return the smallest number of stages that is stable, from 2 to 250 (SSV eq. 2.5).
+
+        `h_lambda` is the step times the spectral radius.
+        """
         return max(2, 1 + int(min(_MAX_STAGES - 1, sqrt(1.0 + 1.54 * h_lambda))))
 
     def stability_interval(self) -> float:
-        """Return that of the largest number of stages allowed."""
+        """Return the one of the largest number of stages allowed."""
         return 0.653 * (_MAX_STAGES**2 - 1)
 
-    def step(
-        self, f: RightHandSide, t: float, z: np.ndarray, k0: np.ndarray, h: float, stages: int
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return z at t + h and SSV's estimate of its error (section 3.1)."""
+    def init(self, z: np.ndarray) -> Arrays:
+        """Return nothing to remember."""
+        return {}
+
+    def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:
+        """Return the step, with SSV's estimate of its error (section 3.1)."""
+        f, k0 = problem.f, problem.rates
+        stages = self.stages(MARGIN * h * problem.spectral_radius)
         k = _coefficients(stages)
         before, new = z, z + k.first * h * k0
         for j in range(2, stages + 1):
@@ -84,4 +92,4 @@ class Chebyshev:
                     + h * (k.mu_tilde[j] * rate + k.gamma[j] * k0)
                 ),
             )
-        return new, 0.8 * (z - new) + 0.4 * h * (k0 + f(t + h, new))
+        return Step(new, 0.8 * (z - new) + 0.4 * h * (k0 + f(t + h, new)))

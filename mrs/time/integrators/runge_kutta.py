@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from mrs.integrators.base import RightHandSide
+from mrs.time.integrators.base import Arrays, Problem, Step
 
 Tree = tuple[Any, ...]  # a rooted tree: the tuple of the trees at its root
 
@@ -108,10 +108,6 @@ class Tableau:
                         f"fails by {defect:.1e}"
                     )
 
-    def stages(self, h_lambda: float) -> int:
-        """Return the number of stages, whatever the step."""
-        return len(self.b)
-
     def stability_interval(self) -> float:
         """Return the first x at which |R(-x)| = 1, with R(z) = 1 + sum_k z^k b A^{k-1} 1."""
         return self._stability_interval
@@ -127,17 +123,19 @@ class Tableau:
         roots = np.concatenate([(polynomial - 1.0).roots(), (polynomial + 1.0).roots()])
         return float(min(r.real for r in roots if abs(r.imag) < 1e-9 and r.real > 1e-9))
 
-    def step(
-        self, f: RightHandSide, t: float, z: np.ndarray, k0: np.ndarray, h: float, stages: int
-    ) -> tuple[np.ndarray, np.ndarray | None]:
-        """Return z at t + h, and the difference of the embedded solution."""
-        k = [k0]
+    def init(self, z: np.ndarray) -> Arrays:
+        """Return nothing to remember."""
+        return {}
+
+    def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:
+        """Return the step, with the difference of the embedded solution if there is one."""
+        k = [problem.rates]
         for c, row in zip(self.nodes[1:], self.a[1:], strict=True):
-            k.append(f(t + c * h, z + h * _combined(row, k)))
+            k.append(problem.f(t + c * h, z + h * _combined(row, k)))
         new = z + h * _combined(self.b, k)
         if self.embedded is None:
-            return new, None
-        return new, h * _combined(tuple(np.subtract(self.b, self.embedded)), k)
+            return Step(new)
+        return Step(new, h * _combined(tuple(np.subtract(self.b, self.embedded)), k))
 
 
 def _combined(weights: tuple[float, ...], vectors: list[np.ndarray]) -> Any:

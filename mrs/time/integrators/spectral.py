@@ -8,6 +8,7 @@ import numpy as np
 
 _FIRST, _RENEWED = 60, 6  # iterations at most, from a random vector and from the last one
 _SETTLED = 0.01
+MARGIN = 1.1  # of the spectral radius, since it is estimated from below
 
 
 def spectral_radius(

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs.flows import Flow, QuadraticFlow
-from mrs.mobility import Backend, Mobility
+from mrs.fluid.flows import Flow, QuadraticFlow
+from mrs.fluid.mobility import Backend, Mobility
 from mrs.output import frames
 from mrs.output.vtkhdf import Trajectory
 

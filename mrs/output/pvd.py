@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -125,3 +126,12 @@ def cut(path: str | os.PathLike[str], time: float) -> float | None:
             if t > time:
                 (path.parent / name).unlink(missing_ok=True)
     return left[-1][0] if left else None
+
+
+def summary(path: Path) -> dict[str, Any]:
+    """Return how many "frames" a list has, their "points", and the "time" of the last one."""
+    files = read_pvd(path)
+    if not files:
+        return {"frames": 0, "points": 0, "time": None}
+    time, name = files[-1]
+    return {"frames": len(files), "points": _points(path.parent / name), "time": time}

@@ -14,9 +14,10 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from mrs import check, geometry, rotations
-from mrs.bodies import Body
-from mrs.state import State
+from mrs import check, rotations
+from mrs.bodies import geometry
+from mrs.bodies.base import Body
+from mrs.time.state import State
 
 _AXIS = np.array([[0.0, 0.0, 1.0]])
 

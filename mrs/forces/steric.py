@@ -9,11 +9,13 @@ import numpy as np
 import scipy
 
 from mrs import check
+from mrs.bodies.layout import Layout
+from mrs.forces.base import Force
 
 
 @check.spelling
 @dataclass(frozen=True)
-class Steric:
+class Steric(Force):
     """Pairwise repulsion of points nearer than ``2 chi a``, of zero net force and torque.
 
     F_ij = (strength / 2a) [(4 chi^2 a^2 - r^2) / (4 chi^2 a^2 - 4 a^2)]^4 r_ij, which is `strength`
@@ -30,6 +32,7 @@ class Steric:
         How far the repulsion reaches, in contact distances; above 1.
     """
 
+    kind: ClassVar[str] = "steric"
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
     strength: float
@@ -41,7 +44,11 @@ class Steric:
         check.positive("radius", self.radius)
         check.number("chi", self.chi, 1.0, 1e3)
 
-    def forces(
+    def forces(self, time: float, points: np.ndarray, layout: Layout) -> np.ndarray:
+        """Return the force on each point, (F, 3)."""
+        return self.between(points, *layout.contact_labels)
+
+    def between(
         self, points: np.ndarray, pieces: np.ndarray, places: np.ndarray, rounds: np.ndarray
     ) -> np.ndarray:
         """Return the force on each point, (N, 3).

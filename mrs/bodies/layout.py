@@ -1,0 +1,193 @@
+"""All bodies of a scene in flat arrays, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mrs.bodies.base import Body
+from mrs.time.state import State
+
+
+class Part(NamedTuple):
+    """Where one body lives in the flat arrays."""
+
+    body: Body
+    positions: slice
+    quaternions: slice
+    points: slice
+
+    def state(self, state: State) -> State:
+        """Return the body's own part of a state of all."""
+        return State(state.positions[self.positions], state.quaternions[self.quaternions])
+
+
+class Layout:
+    """The bodies of a scene, and which rows of the flat arrays are theirs.
+
+    Parameters
+    ----------
+    bodies : sequence of Body
+
+    Attributes
+    ----------
+    parts : list of Part
+    initial : State
+        Of all bodies at time zero.
+    count : int
+        Number N of points, at which forces act and velocities are known.
+    width : int
+        Columns of loads and motion: 6 if any body has torques or wants angular velocities, else 3.
+    has_force, has_torque, has_spin : (N,) bool ndarray
+        Whether the body of a point puts a force and a torque on the fluid, and whether it wants the
+        angular velocity.
+    numbers : (N,) int ndarray
+        Of the body of each point.
+    forced : int ndarray
+        Points whose body puts forces on the fluid.
+
+    Raises
+    ------
+    ValueError
+        If there is no body or no point, or if two bodies have one name.
+    """
+
+    def __init__(self, bodies: Sequence[Body]) -> None:
+        names = [body.name for body in bodies]
+        if not bodies or len(set(names)) < len(names):
+            raise ValueError(f"bodies must be at least one, with different names, got {names}")
+        self.initial = State(
+            np.concatenate([body.positions for body in bodies]),
+            np.concatenate([body.quaternions for body in bodies]),
+        )
+        if not len(self.initial.positions):
+            raise ValueError("bodies must have at least one point")
+        sizes = [len(body.points(State(body.positions, body.quaternions))) for body in bodies]
+        places = zip(
+            bodies,
+            _slices(len(body.positions) for body in bodies),
+            _slices(len(body.quaternions) for body in bodies),
+            _slices(sizes),
+            strict=True,
+        )
+        self.bodies = tuple(bodies)
+        self.parts = [Part(*place) for place in places]
+        self.count = sum(sizes)
+
+        def at_points(values: Iterable[Any]) -> np.ndarray:
+            return np.repeat(list(values), sizes)
+
+        self.has_force = at_points(body.has_force for body in bodies)
+        self.has_torque = at_points(body.has_torque for body in bodies)
+        self.has_spin = at_points(body.has_spin for body in bodies)
+        self.numbers = at_points(range(len(bodies)))
+        self.forced = np.flatnonzero(self.has_force)
+        self.width = 6 if self.has_torque.any() or self.has_spin.any() else 3
+
+    def part(self, body: Body) -> Part:
+        """Return where a body lives."""
+        return next(part for part in self.parts if part.body is body)
+
+    def point_count(self, body: Body) -> int:
+        """Return how many points a body has."""
+        points = self.part(body).points
+        return points.stop - points.start
+
+    def epsilons(self, default: float | None) -> np.ndarray:
+        """Return the blob sizes, (N,), with that of the fluid by default; 1 where none is used.
+
+        Raises
+        ------
+        ValueError
+            If neither the fluid nor the body sets one.
+        """
+        return np.concatenate([self._epsilons(body, default) for body in self.bodies])
+
+    def _epsilons(self, body: Body, default: float | None) -> np.ndarray:
+        if not body.has_force:
+            return np.ones(self.point_count(body))
+        if default is not None:
+            return body.epsilons(default)
+        epsilons = body.epsilons(np.nan)
+        if np.isnan(epsilons).any():
+            raise ValueError(f"epsilon must be set, by the fluid or by {body.name!r}")
+        return epsilons
+
+    def points(self, state: State) -> np.ndarray:
+        """Return where forces act and velocities are wanted, (N, 3)."""
+        return np.concatenate([part.body.points(part.state(state)) for part in self.parts])
+
+    def loads(self, time: float, state: State) -> np.ndarray:
+        """Return the forces, and torques, of the bodies on the fluid, (N, width)."""
+        loads = np.zeros((self.count, self.width))
+        for part in self.parts:
+            if part.body.has_force:
+                force, torque = part.body.loads(time, part.state(state))
+                loads[part.points, :3] = force
+                if torque is not None:
+                    loads[part.points, 3:] = torque
+        return loads
+
+    def rates(self, time: float, state: State, motion: np.ndarray) -> np.ndarray:
+        """Return the rates of positions and triads, (P + Q, 3), for a motion of the points."""
+        velocities, spins = [], []
+        for part in self.parts:
+            own = motion[part.points]
+            spin = own[:, 3:] if part.body.has_spin else None
+            velocity, turning = part.body.rates(time, part.state(state), own[:, :3], spin)
+            velocities.append(velocity)
+            spins.append(turning)
+        return np.concatenate([*velocities, *spins])
+
+    @cached_property
+    def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Connected pieces of all forced points, places along them, and rounds of closed ones.
+
+        As those of `Body.contact_labels`, with pieces numbered through all bodies.
+        """
+        labels, before = [], 0
+        for body in self.bodies:
+            if body.has_force:
+                piece, place, length = body.contact_labels()
+                labels.append((piece + before, place, length))
+                before += int(piece.max(initial=-1)) + 1
+        if not labels:
+            return np.empty(0, int), np.empty(0), np.empty(0)
+        pieces, places, rounds = (np.concatenate(column) for column in zip(*labels, strict=True))
+        return pieces, places, rounds
+
+    def length_scales(self) -> np.ndarray:
+        """Return the length against which errors of each position are judged, (P,).
+
+        Points without a length of their own take the smallest of the others'; in a scene without
+        any length it is 0.
+        """
+        known = [body.length_scale for body in self.bodies if body.length_scale > 0.0]
+        least = min(known, default=0.0)
+        lengths = [np.full(len(b.positions), b.length_scale or least) for b in self.bodies]
+        return np.concatenate(lengths)
+
+    def point_name(self, row: int) -> str:
+        """Name a point for a message."""
+        part = next(part for part in self.parts if part.points.start <= row < part.points.stop)
+        return f"node {row - part.points.start} of {part.body.name!r}"
+
+    def coordinate_name(self, row: int) -> str:
+        """Name a row of the coordinates, (P + Q, 3), for a message."""
+        count = len(self.initial.positions)
+        for part in self.parts:
+            if row < count and part.positions.start <= row < part.positions.stop:
+                return f"the position of node {row - part.positions.start} of {part.body.name!r}"
+            turn = row - count
+            if part.quaternions.start <= turn < part.quaternions.stop:
+                return f"the triad of node {turn - part.quaternions.start} of {part.body.name!r}"
+        raise IndexError(row)
+
+
+def _slices(sizes: Iterable[int]) -> list[slice]:
+    ends = np.cumsum([0, *sizes])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]

@@ -1,0 +1,7 @@
+"""The fluid: its viscosity, boundary and background flow, and the mobility of points in it."""
+
+from mrs.fluid.flows import Flow
+from mrs.fluid.fluid import Fluid
+from mrs.fluid.mobility import Backend, Mobility
+
+__all__ = ["Backend", "Flow", "Fluid", "Mobility"]

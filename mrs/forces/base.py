@@ -1,0 +1,34 @@
+"""A force that acts at the points of all bodies, besides the loads of each body."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from mrs.bodies.layout import Layout
+
+
+class Force:
+    """What the scene asks of a force: repulsion, gravity, springs between bodies.
+
+    Attributes
+    ----------
+    kind : str
+        Its name in TOML files.
+    """
+
+    kind: ClassVar[str]
+
+    def forces(self, time: float, points: np.ndarray, layout: Layout) -> np.ndarray:
+        """Return the forces on the fluid, (F, 3), at the points that can have some.
+
+        Parameters
+        ----------
+        time : float
+        points : (F, 3) ndarray
+            Those of the bodies that put forces on the fluid, ``layout.forced``.
+        layout : Layout
+            Whose these points are.
+        """
+        raise NotImplementedError

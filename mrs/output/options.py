@@ -1,0 +1,79 @@
+"""Where and how often a run is written, and the trackers that do it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mrs import check
+from mrs.output import paraview
+from mrs.output.checkpoint import Checkpoints
+from mrs.output.formats import FORMATS
+from mrs.output.frame_files import FrameFiles
+from mrs.output.log import COLUMNS, LogFile
+from mrs.output.trackers import Tracker
+from mrs.time.interrupts import Interval
+
+if TYPE_CHECKING:
+    from mrs.bodies import Body
+    from mrs.run.simulation import Simulation
+
+
+@check.spelling
+@dataclass(frozen=True)
+class Output:
+    """Where and how often a run is written.
+
+    Parameters
+    ----------
+    directory : path
+    interval : float
+        Simulated time between frames, and between rows of the log.
+    checkpoint_seconds : float, optional
+        Seconds of real time between checkpoints; one is written at the end in any case.
+    overwrite : bool, optional
+        Delete an earlier run in the same directory.
+    formats : sequence of str, optional
+        Of the trajectories: "vtkhdf"; "pvd", a .vtp file a frame and a list of them, for ParaView
+        before 5.12; or one that was registered. Pictures, exports and fields are made of "vtkhdf".
+    columns : dict of functions, optional
+        Columns of log.csv besides those that it has, by name. A function takes the simulation, and
+        returns a number or a text.
+    """
+
+    directory: str | Path
+    interval: float
+    checkpoint_seconds: float = 30.0
+    overwrite: bool = False
+    formats: Sequence[str] = ("vtkhdf",)
+    columns: Mapping[str, Callable[[Simulation], Any]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.directory, (str, Path)):
+            raise TypeError(f"directory must be a path, got {self.directory!r}")
+        check.positive("interval", self.interval)
+        check.not_negative("checkpoint_seconds", self.checkpoint_seconds, 1e9)
+        check.flag("overwrite", self.overwrite)
+        if isinstance(self.formats, str):
+            raise TypeError(f"formats must be a list of texts, got {self.formats!r}")
+        for i, name in enumerate(self.formats):
+            check.one_of(f"formats[{i}]", name, FORMATS)
+        for name, function in self.columns.items():
+            if not isinstance(name, str) or name in COLUMNS:
+                raise ValueError(
+                    f"columns must have names other than {', '.join(COLUMNS)}, got {name!r}"
+                )
+            check.function(f"columns[{name!r}]", function, "the simulation")
+
+    def trackers(self, bodies: Sequence[Body]) -> list[Tracker]:
+        """Return the trackers that write a run; the first checkpoint comes before any work."""
+        directory, when = Path(self.directory), Interval(float(self.interval))
+        files = [FORMATS[name](directory, body) for name in self.formats for body in bodies]
+        log = LogFile(directory / "log.csv", when, self.columns)
+        return [
+            Checkpoints(directory / "checkpoint.h5", self.checkpoint_seconds),
+            paraview.Macro(directory),
+            FrameFiles([*files, log], when),
+        ]

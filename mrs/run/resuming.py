@@ -1,0 +1,95 @@
+"""Runs go on from their last checkpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from mrs.output import checkpoint, run_directory
+from mrs.output.trackers import Tracker
+from mrs.run.scenario import Scenario, ScenarioError
+from mrs.run.scenario_files import make, read_input
+from mrs.run.simulation import Simulation
+
+
+def scenario_of(directory: str | Path) -> Scenario:
+    """Return the scenario of a run.
+
+    Raises
+    ------
+    ScenarioError
+        If the run was made by a script.
+    """
+    if "scenario" not in run_directory.read(directory):
+        raise ScenarioError(
+            f"{directory}: made by a script; build the same simulation there, and go on with "
+            "mrs.restart(sim).run(t_end)"
+        )
+    return make(*read_input(Path(directory) / run_directory.CONFIG))
+
+
+def resume(
+    directory: str | Path,
+    t_end: float | None = None,
+    trackers: Iterable[Tracker] = (),
+    *,
+    changes: bool = False,
+    **options: Any,
+) -> Simulation:
+    """Go on with a run from its last checkpoint.
+
+    Parameters
+    ----------
+    directory : path
+    t_end : float, optional
+        A new end; that of the run by default.
+    trackers : sequence of Tracker, optional
+        Besides those that write the run.
+    changes : bool, optional
+        Whether options in config.toml that change the physics may differ from what was run.
+    **options
+        As for `Simulation.run`: `max_walltime`, `renew_files`.
+
+    Returns
+    -------
+    Simulation
+        At its end.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no run in the directory.
+    ScenarioError
+        If the run was made by a script and not from a scenario: build the same simulation there,
+        and go on with ``restart(sim).run(t_end)``.
+    """
+    sim = restart(scenario_of(directory).simulation(directory), changes=changes)
+    sim.trackers.extend(trackers)
+    noted = run_directory.read(directory)["run"]["t_end"]
+    return sim.run(noted if t_end is None else t_end, **options)
+
+
+def restart(sim: Simulation, *, changes: bool = False) -> Simulation:
+    """Return `sim` in the state of the last checkpoint in its run directory, ready for `run`.
+
+    Parameters
+    ----------
+    sim : Simulation
+        Built as for the run, with its output directory.
+    changes : bool, optional
+        Whether fluid, bodies and steric repulsion may differ from those of the run. What differs
+        is said in any case; another backend, integrator or output is taken up.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no checkpoint.
+    ValueError
+        If `sim` has no output directory, or is another scene; see `Simulation.restore`.
+    """
+    if sim.output is None:
+        raise ValueError("sim must have an output directory to go on from")
+    directory = Path(sim.output.directory)
+    sim.restore(*checkpoint.load(directory / run_directory.CHECKPOINT), changes=changes)
+    return sim

@@ -1,0 +1,128 @@
+"""A scenario is a class of options that can build its simulation, run it and check one number."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from mrs import check
+from mrs.fluid.mobility import Backend
+from mrs.output.formats import FORMATS
+from mrs.output.options import Output
+from mrs.run.option_errors import explain
+from mrs.run.simulation import Simulation
+from mrs.time.stepper import Integrator
+
+
+class ScenarioError(ValueError):
+    """An unknown scenario, an unknown option, or a value that an option does not take."""
+
+
+class Check(NamedTuple):
+    """One number that a run must give."""
+
+    name: str
+    value: float
+    expected: float
+    tolerance: float
+    """Relative to `expected`, absolute if that is zero."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the value is within the tolerance."""
+        return abs(self.value - self.expected) <= self.tolerance * (abs(self.expected) or 1.0)
+
+    def __str__(self) -> str:
+        verdict = "ok" if self.passed else "FAILED"
+        kind = "relative" if self.expected else "absolute"
+        expected = f"expected {self.expected:.6g} to {self.tolerance:g} ({kind})"
+        return f"{self.name}: {self.value:.6g}, {expected}: {verdict}"
+
+
+# A text stands for the name alone, as in Python: backend = "fmm".
+_BY_NAME = BeforeValidator(lambda value: {"name": value} if isinstance(value, str) else value)
+
+
+def _known(formats: list[str]) -> list[str]:
+    return [check.one_of(f"formats[{i}]", name, FORMATS) for i, name in enumerate(formats)]
+
+
+class Scenario(BaseModel):
+    """Options of a scene; a subclass adds its own, and says how to build it.
+
+    Subclasses state in `quick` the options of a version that ends within seconds. In `log_columns`
+    they name columns of log.csv that they add, each a function of the simulation.
+
+    Raises
+    ------
+    ScenarioError
+        The message names each option, its value and what is allowed, and the nearest known option.
+    """
+
+    model_config = ConfigDict(extra="forbid", validate_default=True, allow_inf_nan=False)
+    quick: ClassVar[dict[str, Any]] = {}
+    log_columns: ClassVar[dict[str, Callable[[Simulation], Any]]] = {}
+
+    t_end: float = Field(1.0, gt=0, description="simulated time")
+    interval: float = Field(0.1, gt=0, description="simulated time between frames")
+    backend: Annotated[Backend, _BY_NAME] = Field(
+        Backend(), description="how velocities are summed"
+    )
+    integrator: Annotated[Integrator, _BY_NAME] = Field(
+        Integrator(), description="how time is stepped"
+    )
+    checkpoint_seconds: float = Field(30.0, ge=0, description="real time between checkpoints")
+    formats: Annotated[list[str], AfterValidator(_known)] = Field(
+        ["vtkhdf"], description="of trajectories; 'pvd' is for ParaView before 5.12"
+    )
+    plugins: list[str] = Field(
+        [], description="Python files that register bodies, forces or formats of one's own"
+    )
+
+    def __init__(self, **options: Any) -> None:
+        try:
+            super().__init__(**options)
+        except ValidationError as error:
+            lines = [explain(type(self), item) for item in error.errors()]
+            raise ScenarioError("\n".join(lines)) from None
+
+    def build(self, **common: Any) -> Simulation:
+        """Return the simulation; `common` goes to `Simulation` as it is."""
+        raise NotImplementedError
+
+    def check(self, sim: Simulation) -> Check:
+        """Return the number that a finished run is judged by."""
+        raise NotImplementedError
+
+    def simulation(
+        self, directory: str | Path | None = None, *, overwrite: bool = False
+    ) -> Simulation:
+        """Return the simulation, writing to `directory` if that is given.
+
+        A scenario that `find` does not find again (of a notebook, or of the script that runs) is
+        not named in config.toml; the run goes on with ``mrs.restart(scenario.simulation(directory))
+        .run(t_end)``.
+        """
+        output = None
+        if directory is not None:
+            output = Output(
+                directory,
+                self.interval,
+                self.checkpoint_seconds,
+                overwrite,
+                self.formats,
+                self.log_columns,
+            )
+        from mrs.run.scenario_files import name_of  # which reads scenarios itself
+
+        name = name_of(type(self))
+        recipe = {} if name is None else {"scenario": name}
+        return self.build(
+            backend=self.backend,
+            integrator=self.integrator,
+            output=output,
+            recipe=recipe | {"options": self.model_dump(mode="json", exclude_none=True)},
+        )

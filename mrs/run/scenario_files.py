@@ -1,0 +1,150 @@
+"""Scenarios by name: those that come with the project, those in Python files, TOML files."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.machinery
+import importlib.util
+import pkgutil
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+from mrs import check
+from mrs.output import run_directory
+from mrs.run import toml_scene
+from mrs.run.scenario import Scenario, ScenarioError
+
+FILE_PREFIX = "file_"  # of the module made of a scenario in a file
+PACKAGE = "mrs.scenarios"  # those that come with the project: found by name, not imported
+
+
+def known() -> list[str]:
+    """Return the names of the scenarios that come with the project."""
+    package = importlib.import_module(PACKAGE)
+    return [module.name for module in pkgutil.iter_modules(package.__path__)]
+
+
+def find(name: str) -> type[Scenario]:
+    """Return the scenario called `name`, or the one in a Python file.
+
+    Parameters
+    ----------
+    name : str
+        Of one that comes with the project; or "FILE.py"; or, of a file with several,
+        "FILE.py:CLASS".
+
+    Raises
+    ------
+    ScenarioError
+        If there is none; the message names the nearest one.
+    """
+    in_file = re.fullmatch(r"(.+\.py)(?::(\w+))?", name, re.IGNORECASE)
+    if in_file:
+        return _only(import_file(Path(in_file[1])), name, in_file[2])
+    if name == "scene":
+        return toml_scene.scene()
+    if name not in known():
+        raise ScenarioError(
+            f"scenario: {name!r} is not known{check.nearest(name, known())}; "
+            f"there are {', '.join(known())}"
+        )
+    return _only(importlib.import_module(f"{PACKAGE}.{name}"), name)
+
+
+def name_of(scenario: type[Scenario]) -> str | None:
+    """Return what `find` finds it by; None for a class that only its own program can make.
+
+    The main program counts as such, although it has a file: to import a script is to run it again.
+    """
+    package, _, module = scenario.__module__.rpartition(".")
+    if package == PACKAGE:
+        return module
+    if scenario.__module__ == toml_scene.__name__:
+        return "scene"
+    found = sys.modules.get(scenario.__module__)
+    path = getattr(found, "__file__", None)
+    if (
+        scenario.__module__ == "__main__"
+        or path is None
+        or vars(found).get(scenario.__name__) is not scenario
+    ):
+        return None
+    return f"{Path(path).resolve()}:{scenario.__name__}"
+
+
+def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario:
+    """Return the scenario with options, which override those of its quick version.
+
+    Raises
+    ------
+    ScenarioError
+        The message names each option, its value and what is allowed, and the nearest known option.
+    """
+    plugins = [str(Path(file).resolve()) for file in options.get("plugins", ())]
+    for file in plugins:
+        import_file(Path(file))
+    scenario = find(name)
+    given = options | ({"plugins": plugins} if plugins else {})
+    return scenario(**(scenario.quick if quick else {}) | given)
+
+
+def _only(module: Any, name: str, wanted: str | None = None) -> type[Scenario]:
+    """Return the scenario that a module defines; the `wanted` one of several."""
+    found = {
+        value.__name__: value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Scenario)
+        and value.__module__ == module.__name__
+    }
+    if wanted is None and len(found) == 1:
+        return next(iter(found.values()))
+    if wanted in found:
+        return found[wanted]
+    names = ", ".join(found) or "none"
+    if wanted is None and found:
+        raise ScenarioError(
+            f"scenario: {name!r} defines several ({names}); say which: {name}:{next(iter(found))}"
+        )
+    raise ScenarioError(
+        f"scenario: {name!r} must define {wanted or 'a class derived from mrs.Scenario'}, "
+        f"it has {names}"
+    )
+
+
+def import_file(path: Path) -> Any:
+    if not path.is_file():
+        raise ScenarioError(f"there is no file {str(path)!r}")
+    loader = importlib.machinery.SourceFileLoader(FILE_PREFIX + path.stem, str(path))
+    spec = importlib.util.spec_from_loader(loader.name, loader)
+    assert spec is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # annotations are looked up there
+    loader.exec_module(module)
+    return module
+
+
+def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
+    """Return scenario and options of a TOML file: one of one's own, or the config.toml of a run.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not TOML, or has keys besides `scenario`, `options`, and what a run adds.
+    """
+    content = run_directory.load_toml(path)
+    unknown = set(content) - {"scenario", "options", "run", "versions"}
+    if unknown or "scenario" not in content:
+        what = f"unknown {', '.join(sorted(unknown))}" if unknown else "no scenario"
+        raise ScenarioError(
+            f"{path}: {what}; a run made from a scenario, and an input file, have "
+            '`scenario = "name"` and a table [options]'
+        )
+    scenario, options = content["scenario"], content.get("options", {})
+    if not isinstance(scenario, str) or not isinstance(options, dict):
+        raise ScenarioError(f"{path}: scenario must be a text and options a table")
+    if "plugins" in options:  # beside the file
+        options["plugins"] = [str(Path(path).parent / file) for file in options["plugins"]]
+    return scenario, options

@@ -1,0 +1,422 @@
+"""A scene that is run: time, files, trackers."""
+
+from __future__ import annotations
+
+import time as clock
+import warnings
+from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mrs import check
+from mrs.bodies import Body
+from mrs.describe import described, differences
+from mrs.fluid import Backend, Fluid, Mobility
+from mrs.fluid.mobility import BACKENDS
+from mrs.forces import Force
+from mrs.output import run_directory
+from mrs.output.options import Output
+from mrs.output.trackers import Tracker
+from mrs.profile import Profile
+from mrs.run import signals
+from mrs.run.failures import SimulationError, explained, require_whole
+from mrs.scene import Arrays, Evaluation, Scene
+from mrs.time.integrators import METHODS
+from mrs.time.interrupts import Interrupt, Moment, next_stop
+from mrs.time.state import State
+from mrs.time.stepper import Integrator, Stepper
+
+_CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
+_NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
+_WRITING = ("interval", "checkpoint_seconds", "formats", "columns")
+# Of the options of a scenario.
+_SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", *_WRITING)
+
+
+@check.spelling
+class Simulation:
+    """Bodies in a viscous fluid, and their motion in time.
+
+    Parameters
+    ----------
+    fluid : Fluid
+    bodies : sequence of Body
+        `Rods`, `Swimmers`, `Tracers`, in any number; their names must differ.
+    forces : sequence of Force, optional
+        On the points of all bodies that put forces on the fluid, for example `Steric`.
+    backend : str or Backend, optional
+        How velocities are summed.
+    integrator : str or Integrator, optional
+        How time is stepped.
+    output : Output, optional
+        Run directory; nothing is written without.
+    trackers : sequence of Tracker, optional
+        One's own, besides those of `output`.
+    recipe : dict, optional
+        What builds this simulation again, kept in config.toml for `mrs.resume`.
+
+    Attributes
+    ----------
+    scene : Scene
+        The physics.
+    time : float
+    state : State
+        Positions and quaternions of all bodies.
+    stepper : Stepper
+    moment : Moment
+        Time, steps and seconds of the last step.
+    profile : Profile
+        Where the time has gone; print it.
+
+    Raises
+    ------
+    ValueError, TypeError
+        The message names the argument and says what is allowed.
+    """
+
+    def __init__(
+        self,
+        fluid: Fluid,
+        bodies: Sequence[Body],
+        *,
+        forces: Sequence[Force] = (),
+        backend: str | Backend = "auto",
+        integrator: str | Integrator = "rkc2",
+        output: Output | None = None,
+        trackers: Iterable[Tracker] = (),
+        recipe: dict[str, Any] | None = None,
+    ) -> None:
+        check.instance("fluid", fluid, Fluid)
+        bodies = check.instances("bodies", bodies, Body)
+        forces = check.instances("forces", forces, Force)
+        if not isinstance(backend, Backend):
+            backend = Backend(check.one_of("backend", backend, BACKENDS))
+        if not isinstance(integrator, Integrator):
+            integrator = Integrator(check.one_of("integrator", integrator, METHODS))
+        self.integrator = integrator
+        self.output = check.instance("output", output, Output, type(None))
+        trackers = check.instances("trackers", trackers, Tracker)
+        self.recipe = recipe
+        self.profile = Profile()
+        self.scene = Scene(fluid, bodies, forces, backend, self.profile)
+        self.time, self.state = 0.0, self.scene.layout.initial
+        self.stepper = Stepper(integrator)
+        self.moment = Moment(0.0, 0, 0.0)
+        self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
+        self.resumed = False
+        self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
+
+    # --- the present state ---------------------------------------------------------------------
+
+    @property
+    def fluid(self) -> Fluid:
+        """The fluid of the scene."""
+        return self.scene.fluid
+
+    @property
+    def bodies(self) -> tuple[Body, ...]:
+        """The bodies of the scene."""
+        return self.scene.bodies
+
+    @property
+    def backend(self) -> Backend:
+        """How velocities are summed."""
+        return self.scene.backend
+
+    @property
+    def mobility(self) -> Mobility:
+        """The sums of the scene."""
+        return self.scene.mobility
+
+    @property
+    def now(self) -> Evaluation:
+        """All that follows from the present state; it is computed once."""
+        return self.scene.evaluate(self.time, self.state)
+
+    def energy(self) -> float:
+        """Return the elastic energy of all bodies."""
+        return self.scene.energy(self.time, self.state)
+
+    def body_state(self, body: Body) -> State:
+        """Return the positions and quaternions of one body."""
+        return self.scene.layout.part(body).state(self.state)
+
+    def velocity(self, points: ArrayLike) -> np.ndarray:
+        """Return the velocity of the fluid at points, (N, 3).
+
+        Its relative error over these points is the tolerance of the backend, of the motion that
+        bodies cause there; see `Mobility.velocity`.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        """
+        return self.scene.velocity(check.points("points", points), self.now)
+
+    def frame(self, body: Body) -> tuple[np.ndarray, Arrays, Arrays]:
+        """Return the content of a frame of one body: points, arrays at points and at cells."""
+        return self.scene.frame(body, self.now)
+
+    # --- storage -------------------------------------------------------------------------------
+
+    def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
+        arrays, history = self.stepper.history()
+        arrays = {f"integrator/{name}": array for name, array in arrays.items()}
+        values = {
+            "time": self.time,
+            "integrator": history,
+            "backends": self.mobility.history(),
+            "written": dict(self.written),
+            "scene": self.description,
+        }
+        return arrays | self.state._asdict(), values
+
+    @cached_property
+    def description(self) -> dict[str, Any]:
+        """What the scene is made of, and how it is computed and written, as plain values."""
+        options = (self.recipe or {}).get("options", {})
+        written = () if self.output is None else _WRITING
+        return described(
+            {
+                "options": {k: v for k, v in options.items() if k not in _SAID_ELSEWHERE},
+                "fluid": self.fluid,
+                "bodies": {body.name: body.parameters() for body in self.bodies},
+                "order": [body.name for body in self.bodies],
+                "forces": list(self.scene.forces),
+                "backend": self.backend,
+                "integrator": self.integrator,
+                "output": {name: getattr(self.output, name) for name in written},
+            }
+        )
+
+    def restore(
+        self, arrays: dict[str, np.ndarray], values: dict[str, Any], *, changes: bool = False
+    ) -> None:
+        """Take up a snapshot of the same scene.
+
+        Parameters
+        ----------
+        arrays, values : dict
+            From `snapshot`.
+        changes : bool, optional
+            Whether fluid, bodies or forces may be others than those of the snapshot.
+
+        Raises
+        ------
+        ValueError
+            If it is of another number of points; or of another fluid, other bodies or other
+            forces, without `changes`. The message names each difference.
+
+        Warns
+        -----
+        UserWarning
+            Of each difference that is taken up: those, and of backend, integrator and output.
+
+        Notes
+        -----
+        Another backend chooses anew how to sum, another integrator begins with a new step size,
+        and after a change of the physics both do.
+        """
+        found = differences(values["scene"], self.description)
+        physics = [d for d in found if d.place.partition(".")[0] not in _NUMERICS]
+        said = "".join(f"\n  {difference}" for difference in found)
+        state = State(arrays["positions"], arrays["quaternions"])
+        for name, mine, other in zip(State._fields, self.state, state, strict=True):
+            if mine.shape != other.shape:
+                raise ValueError(
+                    f"checkpoint: {name} have shape {other.shape}, the scene's {mine.shape}; a run "
+                    f"cannot go on with other numbers of points{said}"
+                )
+        if physics and not changes:
+            raise ValueError(
+                f"the scene is not that of the checkpoint:{said}\n"
+                "put this back; or, if the run is to go on with the change, say so with "
+                "`mrs resume DIRECTORY --changes` (changes=True)"
+            )
+        if found:
+            warnings.warn(f"from t = {values['time']:g} on:{said}", stacklevel=3)
+        changed = {d.place.partition(".")[0] for d in found} - {"output"}
+        self.time, self.state, self.resumed = values["time"], state, True
+        self.written = dict(values["written"])
+        prefix = "integrator/"
+        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+        if changed <= {"backend"}:
+            self.stepper.restore(own, values["integrator"])
+        else:
+            self.stepper.restore_counts(values["integrator"])
+        if changed <= {"integrator"}:
+            self.mobility.restore(values["backends"])
+
+    # --- time ----------------------------------------------------------------------------------
+
+    def step(self, stop: float) -> None:
+        """Take one accepted step, not beyond time `stop`.
+
+        Raises
+        ------
+        SimulationError
+            If the state would not be finite; it is left as it was.
+        """
+        with self.mobility.lock:
+            self._step(stop)
+
+    def _step(self, stop: float) -> None:
+        before, methods = self.stepper.history(), self.mobility.history()
+        try:
+            steps = self.stepper.steps
+            if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
+                self.scene.correct(self.time, self.state)
+            ignoring = np.errstate(over="ignore", invalid="ignore")
+            with self.profile.stage("integrator"), ignoring:
+                time, state = self.stepper.step(self.scene, self.time, self.state, stop)
+            require_whole(self, state)
+        except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
+            told = explained(self, error)
+            self.stepper.restore(*before)
+            if self.mobility.history() != methods:
+                self.mobility.restore(methods)
+                self.scene.forget()
+            raise told from None
+        self.time, self.state = time, state
+
+    def run(
+        self, t_end: float, *, max_walltime: float | None = None, renew_files: bool = False
+    ) -> Simulation:
+        """Go on to time `t_end`.
+
+        Parameters
+        ----------
+        t_end : float
+        max_walltime : float, optional
+            Seconds after which the run stops in good order, before `t_end`; at least one step is
+            taken.
+        renew_files : bool, optional
+            When an earlier run goes on: begin anew those of its files that are missing, cut short
+            or of another scene, instead of refusing to go on. What was there is kept beside.
+
+        Returns
+        -------
+        Simulation
+            Itself.
+
+        Raises
+        ------
+        SimulationError
+            If the state, or what a user's function gives, would not be finite; the last good state
+            is in the checkpoint. If a file of the run that goes on is missing or damaged; nothing
+            is changed then.
+        FileExistsError
+            If the directory holds a run, or a file of a name that the run would write.
+        KeyboardInterrupt
+            After ctrl-C, or a signal that would end the process (SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
+            SIGXCPU), with a checkpoint written, which further signals do not interrupt. A script
+            goes on with ``mrs.restart(sim).run(t_end)``.
+        """
+        self.t_end = check.number("t_end", t_end, 0.0, 1e300)
+        if t_end < self.time:
+            raise ValueError(f"t_end must be at least the present time {self.time:g}, got {t_end}")
+        if max_walltime is not None:
+            check.number("max_walltime", max_walltime, 0.0, np.inf, low_inclusive=True)
+        for tracker in self.trackers:
+            check.instance(f"{type(tracker).__name__}.when", tracker.when, Interrupt)
+        with ExitStack() as stack:
+            stopping = stack.enter_context(signals.stopping())
+            stack.enter_context(self.profile.stage("remainder"))
+            if self.output is not None:
+                self._enter(self.output, renew_files, stack)
+            self._run(max_walltime, stopping)
+        return self
+
+    def _enter(self, output: Output, renew_files: bool, stack: ExitStack) -> None:
+        """Take the run directory."""
+        directory = Path(output.directory)
+        stack.enter_context(run_directory.held(directory))
+        files = [file for tracker in self.trackers for file in tracker.output_files(self)]
+        if self.resumed:
+            self._require_whole_files(directory, renew_files)
+            run_directory.extend(directory, self.t_end, files)
+        else:
+            self.written.clear()
+            run_directory.begin(
+                directory, self.recipe, self.t_end, files, overwrite=output.overwrite
+            )
+            stack.callback(self._discard_unstarted, directory)
+
+    def _discard_unstarted(self, directory: Path) -> None:
+        """Leave nothing of a start that failed before its first checkpoint and frame."""
+        if not self.written and not (directory / run_directory.CHECKPOINT).exists():
+            run_directory.discard(directory)
+
+    def _require_whole_files(self, directory: Path, renew_files: bool) -> None:
+        """Look at all files before any of them is touched."""
+        damaged: dict[Path, str] = {}
+        for tracker in self.trackers:
+            damaged |= tracker.damaged_files(self)
+        if damaged and not renew_files:
+            lines = [f"{path} {fault}" for path, fault in damaged.items()]
+            raise SimulationError(
+                f"the run cannot go on from t = {self.time:g}; nothing was changed\n  "
+                + "\n  ".join(lines)
+                + "\nput back what is missing or wrong, or let it begin anew from here with "
+                f"`mrs resume {directory} --renew-files` (run(..., renew_files=True)); damaged "
+                "files are then kept beside the new ones"
+            )
+        for path in damaged:
+            run_directory.set_aside(path)
+            self.written.pop(path.name, None)
+
+    def _run(self, max_walltime: float | None, stopping: signals.Stopping) -> None:
+        begun: list[Tracker] = []
+        try:
+            try:
+                self._go(max_walltime, begun, stopping)
+            finally:
+                stopping.hold()  # before anything is finalized, whatever ends the loop
+        except BaseException:
+            for failure in self._finalize(begun):
+                warnings.warn(str(failure), stacklevel=3)
+            raise
+        for failure in self._finalize(begun):
+            raise failure
+
+    def _go(
+        self, max_walltime: float | None, begun: list[Tracker], stopping: signals.Stopping
+    ) -> None:
+        """Begin with all trackers, which go to `begun`, and step until the end."""
+        start = clock.monotonic()
+        self.moment = Moment(self.time, self.stepper.steps, 0.0)
+        with self.profile.stage("output"):
+            for tracker in self.trackers:
+                begun.append(tracker)
+                tracker.initialize(self)
+        interrupts = [tracker.when for tracker in self.trackers]
+        while self.time < self.t_end:
+            before = self.moment
+            self.step(next_stop(interrupts, self.time, self.t_end))
+            self.moment = Moment(self.time, self.stepper.steps, clock.monotonic() - start)
+            with self.profile.stage("output"), stopping.writing():
+                for tracker in self.trackers:
+                    if self.time >= self.t_end or tracker.when.due(before, self):
+                        tracker.handle(self)
+            if max_walltime is not None and clock.monotonic() - start >= max_walltime:
+                break
+
+    def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
+        """Let all trackers end their work; return what failed, which does not stop the others."""
+        failures = []
+        with self.profile.stage("output"):
+            for tracker in trackers:
+                try:
+                    tracker.finalize(self)
+                except Exception as error:
+                    failure = SimulationError(f"{type(tracker).__name__}.finalize: {error}")
+                    failure.__cause__ = error
+                    failures.append(failure)
+        self.resumed = True  # a second call goes on
+        return failures

@@ -1,0 +1,201 @@
+"""A scene of one's own from a TOML file: its options are the arguments of the Python functions.
+
+scenario = "scene"
+[options.fluid]
+viscosity = 1.0
+epsilon = 0.1
+background = { kind = "shear", rate = 1.0 }
+[[options.rods]]
+shape = { kind = "helix", radius = 0.3, pitch = 3.14, length = 6.0, nodes = 76 }
+origins = [[0, 0, 0], [2, 0, 0]]
+bending = 1.0
+...
+"""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import is_dataclass
+from typing import Annotated, Any, Literal, Union
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from mrs.bodies import (
+    BODIES,
+    Body,
+    Drive,
+    Rods,
+    Swimmers,
+    Tracers,
+    TravellingWave,
+    geometry,
+    lattice_suspension,
+    random_suspension,
+)
+from mrs.fluid import Fluid, flows
+from mrs.forces import FORCES, Force
+from mrs.run.scenario import Check, Scenario, ScenarioError
+from mrs.run.simulation import Simulation
+
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class _Call(BaseModel):
+    """Arguments of a function."""
+
+    model_config = _STRICT
+
+    def arguments(self) -> dict[str, Any]:
+        """Return those that were given."""
+        return {name: getattr(self, name) for name in self.model_fields_set if name != "kind"}
+
+
+def _call(
+    function: Callable, kind: str | None = None, leave_out: str = "", **instead: Any
+) -> type[_Call]:
+    """Return a model of a function's arguments.
+
+    `instead` has types that say more than the annotations, or pairs of a type and a default.
+    """
+    hints = typing.get_type_hints(function.__init__ if inspect.isclass(function) else function)
+    fields: dict[str, Any] = {} if kind is None else {"kind": (Literal[kind], ...)}
+    for name, parameter in inspect.signature(function).parameters.items():
+        default = ... if parameter.default is parameter.empty else parameter.default
+        fields[name] = (instead.pop(name, _data(hints.get(name, Any))), default)
+        if isinstance(fields[name][0], tuple):
+            fields[name] = fields[name][0]
+    fields.pop(leave_out, None)
+    return create_model(kind or function.__name__, __base__=_Call, **(fields | instead))
+
+
+def _data(hint: Any) -> Any:
+    """Return what pydantic looks for: of arrays nothing, which the function itself checks."""
+    is_array = set(typing.get_args(ArrayLike)) <= set(typing.get_args(hint))
+    return Any if is_array else hint
+
+
+def _one_of(*functions: Callable) -> Any:
+    """Return a field that takes the arguments of one of the functions, named by `kind`."""
+    models = tuple(_call(function, function.__name__) for function in functions)
+    return Annotated[Union[models], Field(discriminator="kind")]  # noqa: UP007
+
+
+Shape = _one_of(geometry.straight, geometry.helix, geometry.ring, geometry.at_rest)
+Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
+Suspension = _one_of(random_suspension, lattice_suspension)
+Vectors = list[tuple[float, float, float]]
+
+_FLUID: Any = _call(Fluid, background=Background | None)
+
+# Bodies whose options are not those of their class: how TOML says them, and what is made of them.
+_ROD_OPTIONS: Any = _call(
+    Rods,
+    leave_out="centerlines",
+    shape=(Shape, ...),
+    origins=(Vectors, [(0.0, 0.0, 0.0)]),
+    intrinsic_curvature=Literal["initial"] | Vectors | tuple[float, float, float],
+    beat=TravellingWave | None,
+    base=Literal["free", "clamped"] | Drive,
+)
+_SWIMMER_OPTIONS: Any = _call(
+    Swimmers,
+    positions=(Vectors | None, None),
+    orientations=(Vectors | None, None),
+    suspension=(Suspension | None, None),
+)
+
+
+class _Scene(Scenario):
+    """Any fluid with any bodies and forces."""
+
+    # The type is made above from a function's signature, which mypy does not follow.
+    fluid: _FLUID = Field(_FLUID(), description="arguments of mrs.Fluid")  # type: ignore[valid-type]
+
+    def build(self, **common: Any) -> Simulation:
+        """Return the scene."""
+        with _at("fluid"):
+            fluid = _fluid(self.fluid)
+        bodies, forces = [], []
+        for kind in BODIES:
+            for i, options in enumerate(getattr(self, kind)):
+                with _at(f"{kind}.{i}"):
+                    bodies.append(_MAKERS.get(kind, BODIES[kind])(**options.arguments()))
+        for kind in FORCES:
+            options = getattr(self, kind)
+            if options is not None:
+                with _at(kind):
+                    forces.append(_force(kind, options))
+        return Simulation(fluid, bodies, forces=forces, **common)
+
+    def check(self, sim: Simulation) -> Check:
+        """Return how many coordinates are not finite."""
+        bad = sum(int((~np.isfinite(array)).sum()) for array in sim.state)
+        return Check("coordinates that are not finite", bad, 0.0, 0.0)
+
+
+def scene() -> type[Scenario]:
+    """Return the scenario of any fluid with any bodies and forces that are registered.
+
+    Its options are `fluid`, a list of tables for each kind of body, and a table for each kind of
+    force, for example ``[[options.rods]]`` and ``[options.steric]``.
+    """
+    fields: dict[str, Any] = {}
+    for kind, body in BODIES.items():
+        options = _OPTIONS.get(kind) or _call(body)
+        fields[kind] = list[options], Field([], description=f"arguments of {body.__name__}")
+    for kind, force in FORCES.items():
+        options = force if is_dataclass(force) else _call(force)
+        fields[kind] = options | None, Field(None, description=f"arguments of {force.__name__}")
+    return create_model("Scene", __base__=_Scene, __module__=__name__, **fields)
+
+
+@contextmanager
+def _at(place: str) -> Iterator[None]:
+    """Name the place of what is refused."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(f"{place}: {error}") from None
+
+
+def _fluid(options: Any) -> Fluid:
+    arguments = options.arguments()
+    background = arguments.pop("background", None)
+    if background is not None:
+        with _at("background"):
+            arguments["background"] = getattr(flows, background.kind)(**background.arguments())
+    return Fluid(**arguments)
+
+
+def _rods(shape: Any, origins: Any = ((0.0, 0.0, 0.0),), **arguments: Any) -> Rods:
+    with _at("shape"):
+        centerline = getattr(geometry, shape.kind)(**shape.arguments())
+    return Rods(geometry.array(centerline, origins), **arguments)
+
+
+def _swimmers(suspension: Any = None, **arguments: Any) -> Swimmers:
+    where = {"positions", "orientations"} & set(arguments)
+    if len(where) != (2 if suspension is None else 0):
+        raise ValueError("must have either a suspension, or positions and orientations")
+    if suspension is not None:
+        make = {f.__name__: f for f in (random_suspension, lattice_suspension)}[suspension.kind]
+        with _at("suspension"):
+            arguments["positions"], arguments["orientations"] = make(**suspension.arguments())
+    return Swimmers(**arguments)
+
+
+def _force(kind: str, options: Any) -> Force:
+    return options if isinstance(options, Force) else FORCES[kind](**options.arguments())
+
+
+_OPTIONS = {
+    "rods": _ROD_OPTIONS,
+    "swimmers": _SWIMMER_OPTIONS,
+    "tracers": _call(Tracers, positions=Vectors),
+}
+_MAKERS: dict[str, Callable[..., Body]] = {"rods": _rods, "swimmers": _swimmers}

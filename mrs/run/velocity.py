@@ -1,0 +1,135 @@
+"""Velocity of the fluid in a stored frame of a run: as a function, and as files."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mrs import check
+from mrs.fluid.flows import Flow
+from mrs.output import field, run_directory
+from mrs.output.stored import FieldError, StoredFrame
+from mrs.run.resuming import scenario_of
+
+_APART = 10.0  # times what tolerance and rounding explain
+
+
+class Field(NamedTuple):
+    """What `write_field` wrote, of when, and how far it may be off."""
+
+    paths: list[Path]
+    time: float
+    error: FieldError
+
+
+def frame_velocity(
+    directory: str | Path, frame: int = -1, background: Flow | None = None
+) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Return the points of a stored frame, (N, 3), and the velocity of the fluid as a function.
+
+    Parameters
+    ----------
+    directory : path
+        Of a run, whatever made it.
+    frame : int, optional
+        Its number; the last by default.
+    background : Flow, optional
+        Of the fluid, if it is none of `mrs.flows` with numbers that files can hold.
+
+    Raises
+    ------
+    IndexError
+        If there is no such frame.
+    ValueError
+        If the files lack what the velocity depends on, as those of earlier versions.
+
+    Warns
+    -----
+    UserWarning
+        If the background is unknown: the velocity is that of the disturbance by the bodies then.
+
+    Notes
+    -----
+    Forces are those of the frame, in single precision; the sums have the tolerance of the run.
+    """
+    stored = _stored(directory, frame, background)
+    return stored.points, stored.velocity
+
+
+def write_field(
+    directory: str | Path,
+    frame: int = -1,
+    resolution: int = 40,
+    destination: str | Path | None = None,
+) -> Field:
+    """Write the velocity on a grid around the bodies, and streamlines, from a stored frame.
+
+    Parameters
+    ----------
+    directory : path
+        Of a run, whatever made it; nothing of the scenario or the script is needed.
+    frame : int, optional
+        Its number; the last by default.
+    resolution : int, optional
+        Grid points along the longest side; a fifth as many streamlines start along it.
+    destination : path, optional
+        Folder to write to, the run directory by default.
+
+    Returns
+    -------
+    Field
+        field.vti and streamlines.vtp; the array is called "disturbance" if the background is
+        unknown, else "velocity". The time and the errors are in the field data of field.vti.
+
+    Raises
+    ------
+    IndexError, ValueError
+        As for `frame_velocity`.
+
+    Warns
+    -----
+    UserWarning
+        If the background is unknown, if there are no streamlines, or if the velocities that are
+        stored with the frame are others.
+    """
+    check.integer("resolution", resolution, 2, 1000)
+    stored = _stored(directory, frame)
+    grid = field.grid_around(stored.points, resolution=resolution)
+    values = stored.velocity(grid.points)
+    error = stored.error(grid.points, values)
+    if error.at_bodies > _APART * (stored.tolerance + error.rounding):
+        warnings.warn(
+            f"velocities stored with the frame differ by {error.at_bodies:.1e} from those of its "
+            "forces: another viscosity or background held then, the files are of several runs, or "
+            "the sums of the run were that far off",
+            stacklevel=2,
+        )
+    folder = Path(directory if destination is None else destination)
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / name for name in ("field.vti", "streamlines.vtp")]
+    run_directory.note_made(directory, *paths)
+    name = "disturbance" if stored.unknown else "velocity"
+    numbers = {"time": stored.time} | {f"error_{k}": v for k, v in error._asdict().items()}
+    field.write_grid(paths[0], grid, {name: values}, numbers)
+    seeds = field.seeds_in(stored.points, max(2, resolution // 5))
+    field.streamlines(paths[1], grid, values, seeds)
+    return Field(paths, stored.time, error)
+
+
+def _stored(directory: str | Path, frame: int, background: Flow | None = None) -> StoredFrame:
+    """Return a frame, with the background of the run's scenario if files cannot hold it."""
+    stored = StoredFrame(directory, frame, background)
+    if stored.unknown and "scenario" in run_directory.read(directory):
+        background = scenario_of(directory).simulation().fluid.background
+        return StoredFrame(directory, frame, background)
+    if stored.unknown:
+        warnings.warn(
+            f"background: the run had a {stored.unknown}, which files cannot hold; velocities are "
+            "those of the disturbance by the bodies, to which it must be added",
+            stacklevel=3,
+        )
+    return stored

@@ -1,0 +1,1 @@
+"""Time: states, methods of stepping, step sizes, and conditions when something happens."""

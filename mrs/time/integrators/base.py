@@ -1,0 +1,64 @@
+"""What the stepper asks of a method of time stepping."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+RightHandSide = Callable[[float, np.ndarray], np.ndarray]
+Arrays = dict[str, np.ndarray]
+
+
+class Problem(NamedTuple):
+    """The equation dz/dt = f(t, z) that a step solves, and what is known at its start."""
+
+    f: RightHandSide
+    rates: np.ndarray
+    """f(t, z) at the start."""
+    spectral_radius: float
+    """Of df/dz at the start, an estimate from below; 0 before the first one."""
+
+
+class Step(NamedTuple):
+    """What a step has come to."""
+
+    z: np.ndarray
+    """The coordinates at its end."""
+    error: np.ndarray | None = None
+    """An estimate of their error, from methods that have one."""
+    memory: Arrays | None = None
+    """What the method wants to know in the next step; None if nothing."""
+
+
+class Method(Protocol):
+    """A method for dz/dt = f(t, z), of which rows are positions and rotation vectors.
+
+    A step starts at rotation vectors of zero, because the triads at its start are the reference.
+    A multistep method remembers rates, which are the same in all reference frames, not coordinates.
+    """
+
+    @property
+    def name(self) -> str:
+        """What users call it by."""
+
+    @property
+    def order(self) -> int:
+        """Of the method."""
+
+    @property
+    def error_order(self) -> int | None:
+        """Order of the solution that the error estimate belongs to; None without an estimate."""
+
+    def stability_interval(self) -> float:
+        """Return the largest h times lambda that is stable, for real negative eigenvalues."""
+
+    def init(self, z: np.ndarray) -> Arrays:
+        """Return what the first step remembers: no arrays for a one-step method.
+
+        What is remembered is part of a checkpoint.
+        """
+
+    def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:
+        """Return the step of size `h` from z at t; the arrays of `memory` must not be changed."""
