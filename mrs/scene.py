@@ -9,6 +9,7 @@ import numpy as np
 
 from mrs import check
 from mrs.bodies import Body
+from mrs.bodies.base import Arrays
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility
 from mrs.forces import Force
@@ -16,8 +17,6 @@ from mrs.profile import Profile
 from mrs.time.state import State
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
-
-Arrays = dict[str, np.ndarray]
 
 
 class Evaluation(NamedTuple):

@@ -410,7 +410,8 @@ def test_no_room_on_the_disk(tmp_path, command):
     """Said by an error that names the file, and nothing is left of it; VTK and HDF5 would crash."""
     script(tmp_path / "run")
     code = (
-        "import resource, sys; import numpy as np; from mrs.output import stored; from mrs.run import cli; "
+        "import resource, sys; import numpy as np; "
+        "from mrs.output import stored; from mrs.run import cli; "
         "stored.StoredFrame(sys.argv[2]).velocity(np.eye(3)); "  # compiled while there is room
         "resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000)); sys.exit(cli.main(sys.argv[1:]))"
     )

@@ -11,6 +11,8 @@ import numpy as np
 from mrs.describe import described, own_code
 from mrs.time.state import State
 
+Arrays = dict[str, np.ndarray]
+
 
 class Body:
     """Material points in the fluid, some of which carry a triad.
@@ -83,29 +85,32 @@ class Body:
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return for each point the number of its connected piece, its place, the piece's round.
 
-        (p,) each; the round is the length of a closed piece, infinite for an open one.
+        (p,) each. Points of one piece repel each other only if their places along it are far apart.
+        The round is the length of a closed piece, infinite for an open one. By default no points of
+        a piece repel each other.
         """
-        raise NotImplementedError
+        pieces = self.pieces()
+        return pieces, np.zeros(len(pieces)), np.full(len(pieces), np.inf)
 
     def energy(self, time: float, state: State) -> float:
         """Return the elastic energy."""
         return 0.0
 
     def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return which points are drawn as vertices, and the polylines through points."""
-        raise NotImplementedError
+        """Return the points that are vertices of their own, and the points along each line.
 
-    def constant_fields(
-        self, epsilons: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        By default all points are vertices.
+        """
+        return np.arange(len(self.points(State(self.positions, self.quaternions)))), []
+
+    def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return arrays at points and at cells that do not change; `epsilons` is (p,)."""
-        raise NotImplementedError
+        return {}, {}
 
-    def fields(
-        self, time: float, state: State, **at_points: Any
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def fields(self, time: float, state: State, **at_points: Any) -> tuple[Arrays, Arrays]:
         """Return arrays at points and at cells for one frame.
 
-        `at_points` has the velocity, and of force, torque and angular_velocity what the body has.
+        `at_points` has the velocity, and of force, torque and angular_velocity those that the body
+        has. They are the fields by default.
         """
-        raise NotImplementedError
+        return at_points, {}

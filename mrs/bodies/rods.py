@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
-from mrs.bodies.base import Body
+from mrs.bodies.base import Arrays, Body
 from mrs.bodies.geometry import Centerline
 from mrs.time.state import State
 
@@ -377,17 +377,13 @@ class Rods(Body):
         lines = [np.append(n, n[0]) if c else n for n, c in zip(nodes, self.closed, strict=True)]
         return np.empty(0, int), lines
 
-    def constant_fields(
-        self, epsilons: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return radius and arclength at nodes, the rod's number at cells."""
         radius = epsilons / np.sqrt(np.e) if self.radius is None else self.radius[self.rod_of_node]
         at_points = {"arclength": self.arclength, "radius": radius}
         return at_points, {"rod_id": np.arange(len(self.first))}
 
-    def fields(
-        self, time: float, state: State, **at_points: Any
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def fields(self, time: float, state: State, **at_points: Any) -> tuple[Arrays, Arrays]:
         """Return triads, loads, motion, curvature and tension at nodes, energy at rods."""
         inside = self.elasticity(time, state)
         triads = rotations.axes(state.quaternions)

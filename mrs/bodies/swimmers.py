@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 from mrs.bodies import geometry
-from mrs.bodies.base import Body
+from mrs.bodies.base import Arrays, Body
 from mrs.time.state import State
 
 _AXIS = np.array([[0.0, 0.0, 1.0]])
@@ -138,9 +138,7 @@ class Swimmers(Body):
         count = len(self.positions)
         return np.arange(2 * count), [np.array([i, i + count]) for i in range(count)]
 
-    def constant_fields(
-        self, epsilons: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return radius, which of the two (0 body, 1 flagellum) and the swimmer at points."""
         count = len(self.positions)
         numbers = np.tile(np.arange(count), 2)
@@ -148,9 +146,7 @@ class Swimmers(Body):
         at_points = {"bead": np.repeat([0, 1], count), "swimmer_id": numbers, "radius": radius}
         return at_points, {"swimmer_id": np.concatenate([numbers, np.arange(count)])}
 
-    def fields(
-        self, time: float, state: State, **at_points: Any
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def fields(self, time: float, state: State, **at_points: Any) -> tuple[Arrays, Arrays]:
         """Return orientation, velocity and force at points."""
         fields = {"orientation": np.tile(self.orientations(state.quaternions), (2, 1))}
         return fields | {k: at_points[k] for k in ("velocity", "force")}, {}

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check
-from mrs.bodies.base import Body
+from mrs.bodies.base import Arrays, Body
 from mrs.time.state import State
 
 
@@ -49,14 +49,10 @@ class Tracers(Body):
         """Return one vertex a tracer."""
         return np.arange(len(self.positions)), []
 
-    def constant_fields(
-        self, epsilons: np.ndarray
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return each tracer's number."""
         return {"tracer_id": np.arange(len(self.positions))}, {}
 
-    def fields(
-        self, time: float, state: State, **at_points: Any
-    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    def fields(self, time: float, state: State, **at_points: Any) -> tuple[Arrays, Arrays]:
         """Return velocity."""
         return {"velocity": at_points["velocity"]}, {}

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mrs import check
 from mrs.bodies import Body
+from mrs.bodies.base import Arrays
 from mrs.describe import described, differences
 from mrs.fluid import Backend, Fluid, Mobility
 from mrs.fluid.mobility import BACKENDS
@@ -25,7 +26,7 @@ from mrs.output.trackers import Tracker
 from mrs.profile import Profile
 from mrs.run import signals
 from mrs.run.failures import SimulationError, explained, require_whole
-from mrs.scene import Arrays, Evaluation, Scene
+from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import State

@@ -1,0 +1,1 @@
+"""What users add in a file of their own: one thing each, and no edit of the package."""

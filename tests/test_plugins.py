@@ -1,0 +1,182 @@
+"""Users add bodies, forces, integrators, interrupts and formats in files of their own."""
+
+import csv
+import shutil
+
+import numpy as np
+import pytest
+
+import mrs
+from mrs.run import cli
+from tests.cases import rod_oracle as oracle
+from tests.plugins import adams_bashforth, crossing, gravity, weights, xyz
+
+EPSILON, VISCOSITY, FORCE = 0.1, 2.0, 3.0
+SPEED = FORCE / (4.0 * np.pi * VISCOSITY * EPSILON)  # of one blob: H1(0) = 1 / (4 pi epsilon)
+
+TOML = """
+scenario = "scene"
+[options]
+plugins = ["weights.py", "gravity.py", "xyz.py", "adams_bashforth.py"]
+t_end = 0.3
+interval = 0.1
+formats = ["vtkhdf", "xyz"]
+integrator = { name = "ab2", dt = 0.02 }
+fluid = { viscosity = 2.0 }
+gravity = { force = [0, 0, -3.0] }
+[[options.weights]]
+positions = [[0, 0, 0]]
+force = [3.0, 0, 0]
+epsilon = 0.1
+"""
+
+
+def scene(forces=(), **options):
+    body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
+    return mrs.Simulation(mrs.Fluid(VISCOSITY), [body], forces=forces, **options)
+
+
+def test_a_body():
+    sim = scene().run(0.5)
+    np.testing.assert_allclose(sim.state.positions, [[0.5 * SPEED, 0.0, 0.0]], atol=1e-12)
+
+
+def test_a_force():
+    sim = scene([gravity.Gravity((0.0, 0.0, -FORCE))]).run(0.5)
+    wanted = 0.5 * SPEED * np.array([[1, 0, -1]])
+    np.testing.assert_allclose(sim.state.positions, wanted, atol=1e-12)
+
+
+def bent_rod(integrator):
+    """Return the state of a rod that unbends, in which triads turn and nodes move."""
+    rod = mrs.Rods(
+        mrs.geometry.helix(radius=0.3, pitch=1.0, length=1.2, nodes=9),
+        bending=1.0, twisting=1.0, shearing=20.0, stretching=20.0,
+        intrinsic_curvature=[0.0, 0.0, 1.0], epsilon=0.25,
+    )  # fmt: skip
+    return mrs.Simulation(mrs.Fluid(), [rod], backend="direct", integrator=integrator).run(0.02)
+
+
+def test_an_integrator_with_a_memory_is_of_second_order():
+    assert mrs.INTEGRATORS["ab2"].name == adams_bashforth.AdamsBashforth.name
+    exact = bent_rod(mrs.Integrator("rk4", dt=1e-4)).state
+    errors = []
+    for steps in (20, 40, 80):
+        found = bent_rod(mrs.Integrator("ab2", dt=0.02 / steps)).state
+        errors.append([np.abs(a - b).max() for a, b in zip(found, exact, strict=True)])
+    assert min(errors[-1]) > 1e-9, "rounding"
+    for column in np.array(errors).T:  # positions, triads
+        np.testing.assert_allclose(oracle.orders(column), 2.0, atol=0.25)
+
+
+def test_the_memory_is_part_of_a_checkpoint(tmp_path):
+    """A multistep method goes on as if nothing had happened, bit for bit."""
+
+    def build(directory):
+        output = mrs.Output(directory, interval=0.1)
+        forces = [mrs.Steric(0.5, 0.2)]
+        bodies = [
+            weights.Weights([(0, 0, 0), (0.3, 0.1, 0)], (FORCE, 0, 0), EPSILON),
+            mrs.Rods(mrs.geometry.straight(1.0, 5), bending=1.0, twisting=1.0, shearing=9.0,
+                     stretching=9.0, epsilon=0.2, intrinsic_curvature=[1.0, 0.0, 0.0]),
+        ]  # fmt: skip
+        integrator = mrs.Integrator("ab2", dt=2e-3)
+        fluid = mrs.Fluid(VISCOSITY)
+        return mrs.Simulation(fluid, bodies, forces=forces, integrator=integrator, output=output)
+
+    whole = build(tmp_path / "whole").run(0.1)
+    build(tmp_path / "halves").run(0.1, max_walltime=0.0)
+    halves = mrs.restart(build(tmp_path / "halves"))
+    assert 0.0 < halves.time < 0.1
+    assert halves.stepper.memory
+    halves.run(0.1)
+    for a, b in zip(whole.state, halves.state, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_an_interrupt():
+    class Note(mrs.Tracker):
+        when = crossing.Crossing(0.2 * SPEED)
+
+        def __init__(self):
+            self.times = []
+
+        def handle(self, sim):
+            self.times.append(sim.time)
+
+    note = Note()
+    scene(trackers=[note], integrator=mrs.Integrator("rk4", dt=0.03)).run(0.6)
+    np.testing.assert_allclose(note.times, [0.21, 0.6])
+
+
+def test_all_of_them_from_toml(tmp_path, capsys):
+    """By name, in a run that is stopped and goes on from its own files."""
+    plugins = tmp_path / "mine"
+    plugins.mkdir()
+    for module in (weights, gravity, xyz, adams_bashforth):
+        shutil.copy(module.__file__, plugins)
+    (plugins / "scene.toml").write_text(TOML)
+    run = ["run", str(plugins / "scene.toml"), "--output"]
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    with registered_again():
+        assert cli.main([*run, str(whole)]) == 0
+        assert cli.main([*run, str(halves), "--max-walltime", "0"]) == 0
+        assert cli.main(["resume", str(halves)]) == 0
+        assert cli.main(["info", str(halves)]) == 0
+        assert "weights.xyz: 4 frames of 1 points, the last at t = 0.3" in capsys.readouterr().out
+    text = (whole / "weights.xyz").read_text()
+    assert text == (halves / "weights.xyz").read_text()
+    frames = xyz.frames_of(whole / "weights.xyz")
+    np.testing.assert_allclose([time for time, _ in frames], [0.0, 0.1, 0.2, 0.3])
+    last = [float(word) for word in frames[-1][1].split()[-3:]]
+    np.testing.assert_allclose(last, [0.3 * SPEED, 0.0, -0.3 * SPEED], atol=1e-12)
+
+
+class registered_again:  # noqa: N801
+    """Take the kinds out of the registries, so that a file of the same name can bring its own."""
+
+    registries = (mrs.BODIES, mrs.FORCES, mrs.FORMATS, mrs.INTEGRATORS)
+
+    def __enter__(self):
+        self.before = [dict(registry) for registry in self.registries]
+        for registry, name in zip(
+            self.registries, ("weights", "gravity", "xyz", "ab2"), strict=True
+        ):
+            del registry[name]
+
+    def __exit__(self, *_):
+        for registry, before in zip(self.registries, self.before, strict=True):
+            registry.clear()
+            registry.update(before)
+
+
+def test_columns_of_the_log(tmp_path):
+    """A function of the simulation by name; a run that goes on with others says so first."""
+
+    def build(columns):
+        return scene(output=mrs.Output(tmp_path, interval=0.1, columns=columns))
+
+    build({"x": lambda sim: sim.state.positions[0, 0]}).run(0.2)
+    with (tmp_path / "log.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    np.testing.assert_allclose([float(row["x"]) for row in rows], SPEED * np.arange(3) / 10)
+    with pytest.warns(UserWarning, match=r"output\.columns"):
+        other = mrs.restart(build({}))
+    with pytest.raises(mrs.SimulationError, match=r"log\.csv has the columns .*, x, not"):
+        other.run(0.3)
+    with pytest.raises(ValueError, match=r"columns must have names other than step, t, .*got 't'"):
+        build({"t": lambda sim: 0.0})
+    with pytest.raises(TypeError, match=r"columns\['x'\] must give a number or a text, got \["):
+        scene(output=mrs.Output(tmp_path / "b", 0.1, columns={"x": lambda sim: [1]})).run(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("weights", "body 'weights' is registered already"),
+        ("two words", r"body\.kind must be a text that can be a name in Python, got 'two words'"),
+    ],
+)
+def test_names_that_cannot_be_registered(name, message):
+    with pytest.raises(ValueError, match=message):
+        mrs.BODIES.register(type("Other", (mrs.Body,), {"kind": name}))
