@@ -177,13 +177,6 @@ def test_mistakes_are_named(arguments, message, capsys, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir()), "something was written"
 
 
-@pytest.mark.parametrize("name", scenario_files.known())
-def test_scenarios_give_their_checked_number(name):
-    scene = scenario_files.make(name, {}, quick=True)
-    result = scene.check(scene.simulation().run(scene.t_end))
-    assert result.passed, str(result)
-
-
 def test_config_gives_the_same_scene_again(tmp_path):
     a, b = tmp_path / "a", tmp_path / "b"
     assert cli.main(["run", str(SCENE), "--output", str(a), "--set", "t_end=0.05"]) == 0
