@@ -10,8 +10,8 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+from mrs.output import camera, colors, vtkhdf
 from mrs.output import render as module
-from mrs.output import vtkhdf
 from mrs.output.render import render
 from mrs.output.vtkhdf import Topology, Trajectory
 from mrs.run import cli
@@ -91,8 +91,8 @@ def test_color_by(tmp_path, color_by):
     render(tmp_path, tmp_path / "a.png", color_by=color_by, size=SIZE)
     assert colorful(pixels(tmp_path / "a.png")[:160]) > 1000
     with Trajectory(tmp_path / "rods.vtkhdf") as body:
-        colors = module._colors([body], [[0], [1], [2]], color_by)
-    assert colors.range == {"arclength": (0, 1), "rod_id": (0, 3), "velocity": (0, 3)}[color_by]
+        found = colors.colors_of([body], [[0], [1], [2]], color_by)
+    assert found.range == {"arclength": (0, 1), "rod_id": (0, 3), "velocity": (0, 3)}[color_by]
 
 
 def test_bodies_of_all_kinds(tmp_path):
@@ -135,14 +135,14 @@ def test_frames_of_a_film(tmp_path, typed, frames):
     """As Python counts; every picture is that of its frame."""
     rods(tmp_path)
     drawn = []
-    module_picture = module._picture
+    module_picture = module.picture
 
     def picture(bodies, places, *rest):
         drawn.append(places)
         return module_picture(bodies, places, *rest)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_picture", picture)
+        patch.setattr(module, "picture", picture)
         path = str(tmp_path / "a.gif")
         size = ["--size", "64,64"]
         assert cli.main(["render", str(tmp_path), "--output", path, "--frame", typed, *size]) == 0
@@ -194,7 +194,7 @@ def test_what_is_interrupted_leaves_no_broken_file(tmp_path, error, suffix, caps
             raise error("no more")
         return np.zeros((64, 64, 3), np.uint8)
 
-    monkeypatch.setattr(module, "_picture", picture)
+    monkeypatch.setattr(module, "picture", picture)
     film = tmp_path / f"a.{suffix}"
     for before in ([], ["an earlier film"]):
         drawn.clear()
@@ -228,14 +228,14 @@ def test_no_room_on_the_disk(tmp_path, suffix):
 def test_a_transient_does_not_settle_the_colours():
     """What the first frames reach is said, and the others have all colours."""
     first = np.array([[0.0, 10.44], [0.0, 3.1], [0.0, 2.4], [0.0, 3.3], [0.0, 3.9]])
-    assert module._without_transient(first) == (0.0, 3.9)
+    assert colors._without_transient(first) == (0.0, 3.9)
     grows = np.array([[0.0, speed] for speed in range(1, 21)])
-    assert module._without_transient(grows) == (0.0, 20.0)
+    assert colors._without_transient(grows) == (0.0, 20.0)
     signed = np.array([[-90.0, 1.0], [-2.0, 1.0], [-3.0, 2.0], [-2.5, 1.0]])
-    assert module._without_transient(signed) == (-3.0, 2.0)
+    assert colors._without_transient(signed) == (-3.0, 2.0)
     rarely = np.array([[0.0, 0.0]] * 9 + [[0.0, 1.0]])
-    assert module._without_transient(rarely) == (0.0, 1.0)
-    assert module._without_transient(first[:1]) == (0.0, 10.44)
+    assert colors._without_transient(rarely) == (0.0, 1.0)
+    assert colors._without_transient(first[:1]) == (0.0, 10.44)
 
 
 def test_colours_of_a_film_with_a_transient(tmp_path):
@@ -244,10 +244,10 @@ def test_colours_of_a_film_with_a_transient(tmp_path):
     with h5py.File(path, "r+") as file:
         file["VTKHDF/PointData/velocity"][:68] *= 100.0  # in frame 0
     with Trajectory(path) as body:
-        film = module._colors([body], [[i] for i in range(8)], None)
+        film = colors.colors_of([body], [[i] for i in range(8)], None)
         assert film.range == (0.0, 8.0)
         assert film.title == "velocity (magnitude), up to 100"
-        assert module._colors([body], [[0]], None) == (
+        assert colors.colors_of([body], [[0]], None) == (
             "velocity", (0.0, 100.0), "velocity (magnitude)",
         )  # fmt: skip
 
@@ -327,7 +327,7 @@ def test_everything_is_in_the_picture():
     slopes = np.array([0.4, 0.25])
     for scale in ([1, 1, 1], [10, 1, 0.1], [0.01, 0.01, 3], [1e-6, 1e-6, 1e-6]):
         points = rng.random((500, 3)) * scale + 5
-        center, distance = module._fit(points, towards, slopes, 0.0)
+        center, distance = camera._fit(points, towards, slopes, 0.0)
         ahead = distance - (points - center) @ towards
         rim = np.abs((points - center) @ axes.T / ahead[:, None]) / slopes
         assert rim.max() < 1.02
