@@ -105,9 +105,10 @@ class Simulation:
         self.recipe = recipe
         self.profile = Profile()
         self.scene = Scene(fluid, bodies, forces, backend, self.profile)
-        self.time, self.state = 0.0, self.scene.layout.initial
-        self.stepper = Stepper(integrator)
-        self.moment = Moment(0.0, 0, 0.0)
+        self.time: float = 0.0
+        self.state: State = self.scene.layout.initial
+        self.stepper: Stepper = Stepper(integrator)
+        self.moment: Moment = Moment(0.0, 0, 0.0)
         self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
