@@ -19,7 +19,7 @@ from mrs import check, rundir, signals
 from mrs.bodies import Body
 from mrs.describe import described, differences
 from mrs.flows import Flow
-from mrs.mobility import BACKENDS, Backend, Mobility
+from mrs.mobility import Backend, Mobility
 from mrs.profile import Profile
 from mrs.state import State
 from mrs.stepper import METHODS, Integrator, NotFiniteError, Stepper, StepSizeError
@@ -160,7 +160,7 @@ class Simulation:
         self.backend = (
             backend
             if isinstance(backend, Backend)
-            else Backend(check.one_of("backend", backend, BACKENDS))
+            else Backend(check.one_of("backend", backend, Backend.names()))
         )
         self.integrator = (
             integrator
