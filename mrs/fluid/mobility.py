@@ -12,7 +12,7 @@ import treecode as tc
 from mrs import check
 from treecode.accuracy import Parts
 
-BACKENDS = ("auto", "direct", "kitc", "taylor", "fmm")
+DIRECT = tc.EXACT.backend  # the name of sums of which none are more accurate
 _KINDS: tuple[Any, ...] = tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet  # without, with
 _SAMPLES = 1000  # points at which errors are sampled for the log
 _LEAST_TOLERANCE = 2e-13  # that can be asked of a sum
@@ -25,10 +25,14 @@ class Backend:
 
     Parameters
     ----------
-    name : {"auto", "direct", "kitc", "taylor", "fmm"}
-        "auto" takes what should be the fastest for `tolerance`; see `treecode.Plan`.
+    name : str
+        One of `names`: "auto", which takes what should be the fastest for `tolerance`, or a method
+        of summation; see `treecode.Plan`.
     theta, degree, leaf_size : optional
         Of treecodes, as in `treecode.Plan`; by default what suits `tolerance`.
+    precision : {"float64", "float32"}, optional
+        Of direct sums, and of treecodes with a `degree`, as in `treecode.Plan`; by default what
+        suits `tolerance`.
     tolerance : float, optional
         Relative error in the Euclidean norm (K eq. 8.1), of the velocities of each body, and of
         its angular velocities. It is met at the first evaluation of a simulation, looked at
@@ -42,21 +46,29 @@ class Backend:
     theta: float | None = None
     degree: int | None = None
     leaf_size: int | None = None
+    precision: str | None = None
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        check.one_of("name", self.name, BACKENDS)
+        check.one_of("name", self.name, self.names())
         check.number("tolerance", self.tolerance, 1e-12, 1.0)
         tc.Plan(_KINDS[0](epsilon=1.0), **self.options(self.tolerance))  # refuses the rest
 
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Return what `name` may be."""
+        return tc.backends()
+
     def options(self, tolerance: float) -> dict[str, Any]:
         """Return those of a sum; the tolerance is this one."""
+        by_hand = self.degree is not None and "tol" not in tc.methods.parameters(self.name)
         return {
             "backend": self.name,
             "theta": self.theta,
             "degree": self.degree,
             "leaf_size": self.leaf_size,
-            "tol": tolerance if self.degree is None or self.name == "fmm" else None,
+            "precision": self.precision,
+            "tol": None if by_hand else tolerance,
         }
 
 
@@ -111,7 +123,7 @@ class _Sum:
 
     def _sum_directly(self, points: np.ndarray) -> None:
         """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""
-        self.plan.use(tc.Choice("direct"))
+        self.plan.use(tc.EXACT)
         self._place(points)
 
 
@@ -257,7 +269,7 @@ class Mobility:
         try:
             return tc.evaluate(*arguments, **self.backend.options(tolerance))[:, :3]
         except tc.CancellationError:
-            return tc.evaluate(*arguments, backend="direct")[:, :3]
+            return tc.evaluate(*arguments, backend=DIRECT)[:, :3]
 
     @property
     def pairs(self) -> int:
@@ -278,7 +290,7 @@ class Mobility:
     def history(self) -> list[dict[str, Any] | None]:
         """Return the choices made so far, None for sums whose strengths have been zero."""
         choices = (term.plan.choice for term in self._sums)
-        return [None if choice is None else choice._asdict() for choice in choices]
+        return [None if choice is None else choice.as_dict() for choice in choices]
 
     def restore(self, history: list[dict[str, Any] | None]) -> None:
         """Use earlier choices again: a run that is resumed must not choose by another state."""
@@ -307,7 +319,7 @@ class Mobility:
                 own = np.isin(rows, term.targets)
                 strengths = term.strengths(loads)
                 some = points[term.sources], strengths, points[rows[own]]
-                out = tc.evaluate(term.kernel, *some, backend="direct")
+                out = tc.evaluate(term.kernel, *some, backend=DIRECT)
                 exact[own, : out.shape[1]] += out
             return wanted[rows] * exact
 

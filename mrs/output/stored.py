@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mrs.fluid.flows import Flow, QuadraticFlow
-from mrs.fluid.mobility import Backend, Mobility
+from mrs.fluid.mobility import DIRECT, Backend, Mobility
 from mrs.output import frames
 from mrs.output.vtkhdf import Trajectory
 
@@ -132,7 +132,7 @@ class StoredFrame:
         return float(np.median(np.linalg.norm(difference, axis=1)) / (np.sqrt(square) or 1.0))
 
     def _directly(self, targets: np.ndarray, sources: _Sources) -> np.ndarray:
-        return self._at(targets, sources, self._mobility(sources, "direct"))
+        return self._at(targets, sources, self._mobility(sources, DIRECT))
 
     def _at(self, targets: np.ndarray, sources: _Sources, sums: Mobility) -> np.ndarray:
         values = sums.velocity(sources.points, sources.loads, targets)

@@ -18,7 +18,6 @@ from mrs.bodies import Body
 from mrs.bodies.base import Arrays
 from mrs.describe import described, differences
 from mrs.fluid import Backend, Fluid, Mobility
-from mrs.fluid.mobility import BACKENDS
 from mrs.forces import Force
 from mrs.output import run_directory
 from mrs.output.options import Output
@@ -96,7 +95,7 @@ class Simulation:
         bodies = check.instances("bodies", bodies, Body)
         forces = check.instances("forces", forces, Force)
         if not isinstance(backend, Backend):
-            backend = Backend(check.one_of("backend", backend, BACKENDS))
+            backend = Backend(check.one_of("backend", backend, Backend.names()))
         if not isinstance(integrator, Integrator):
             integrator = Integrator(check.one_of("integrator", integrator, METHODS))
         self.integrator = integrator

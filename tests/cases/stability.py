@@ -31,9 +31,10 @@ from tests.cases.oracle import (
     sizes,
     with_epsilon,
 )
+from treecode.methods import names
 
 DEGREES = {"direct": 1, "kitc": 4, "taylor": 6}
-SUMS = [*BACKENDS, "fmm"]
+SUMS = names()
 TOLERANCE = 1e-2  # of "fmm", in singles but for singular kernels
 THETA = 0.5
 
