@@ -87,6 +87,7 @@ class Scene:
             layout.has_spin,
             layout.numbers,
             self.backend,
+            fluid.boundary,
         )
         self._set_scales()
         self._last: Evaluation | None = None

@@ -99,6 +99,7 @@ ALLOWED = {
     "treecode.choice": {
         "treecode.accuracy", "treecode.choice", "treecode.kernels.base", "treecode.methods",
     },
+    "treecode.boundary": {"treecode.kernels.base"},
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},
@@ -113,7 +114,7 @@ ALLOWED = {
         "mrs.time.state",
     },
     "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.forces", "mrs.registry"},
-    "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry"},
+    "mrs.fluid": {"mrs.check", "mrs.fluid"},
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",

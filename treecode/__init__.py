@@ -3,6 +3,7 @@
 from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
+from treecode.boundary import Boundary, FreeSpace, Term
 from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.kernels import (
     RegularizedStokeslet,
@@ -20,8 +21,10 @@ from treecode.version import __version__
 
 __all__ = [
     "EXACT",
+    "Boundary",
     "CancellationError",
     "Choice",
+    "FreeSpace",
     "Kernel",
     "Lock",
     "Method",
@@ -30,6 +33,7 @@ __all__ = [
     "RegularizedStokesletRotlet",
     "Stokeslet",
     "StokesletStresslet",
+    "Term",
     "ToleranceError",
     "__version__",
     "backends",

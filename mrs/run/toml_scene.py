@@ -90,7 +90,7 @@ Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
 Suspension = _one_of(random_suspension, lattice_suspension)
 Vectors = list[tuple[float, float, float]]
 
-_FLUID: Any = _call(Fluid, background=Background | None)
+_FLUID: Any = _call(Fluid, leave_out="boundary", background=Background | None)
 
 # Bodies whose options are not those of their class: how TOML says them, and what is made of them.
 _ROD_OPTIONS: Any = _call(
