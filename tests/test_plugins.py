@@ -238,3 +238,53 @@ def test_columns_of_the_log(tmp_path):
 def test_names_that_cannot_be_registered(name, message):
     with pytest.raises(ValueError, match=message):
         mrs.BODIES.register(type("Other", (mrs.Body,), {"kind": name}))
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "message"),
+    [
+        ("loads", (np.zeros(3), None), r"forces of loads of 'weights' must have shape \(1, 3\)"),
+        ("loads", (np.zeros((1, 3)), np.zeros(3)), "torques of loads of 'weights' must have"),
+        ("rates", (np.zeros(3), np.empty((0, 3))), "velocities of rates of 'weights' must have"),
+        ("rates", (np.zeros((1, 3)), np.empty(0)), r"angular velocities .* got shape \(0,\)"),
+    ],
+)
+def test_arrays_of_a_body_have_their_shapes(method, value, message):
+    """One that numpy would stretch is refused."""
+    body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
+    setattr(body, method, lambda *_: value)
+    with pytest.raises(ValueError, match=message):
+        assert mrs.Simulation(mrs.Fluid(), [body]).now
+
+
+def test_what_a_force_gives_is_checked():
+    class Wrong(mrs.Force):
+        kind = "wrong"
+
+        def __init__(self, value):
+            self.value = value
+
+        def forces(self, time, points, layout):
+            return self.value
+
+    with pytest.raises(
+        mrs.SimulationError, match=r"force 'wrong' must give shape \(3,\) or \(1, 3\)"
+    ):
+        scene([Wrong(np.zeros((2, 3)))]).run(0.1)
+    with pytest.raises(
+        mrs.SimulationError, match=r"force 'wrong' .* finite .* at node 0 of 'weights'"
+    ):
+        scene([Wrong(np.full(3, np.nan))]).run(0.1)
+    with pytest.raises(TypeError, match=r"forces\[0\] must be mrs\.Force"):
+        scene([np.zeros(3)])
+    body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
+    body.positions = np.zeros(3)
+    with pytest.raises(ValueError, match=r"positions of 'weights' must have shape \(3, 3\), got"):
+        mrs.Simulation(mrs.Fluid(), [body])
+
+
+def test_formats_and_columns_that_are_refused():
+    with pytest.raises(ValueError, match="formats must be different ones"):
+        mrs.Output("run", 0.1, formats=["pvd", "pvd"])
+    with pytest.raises(TypeError, match="columns must be a dict of functions by name"):
+        mrs.Output("run", 0.1, columns=["x"])
