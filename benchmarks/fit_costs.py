@@ -57,13 +57,13 @@ Runs = dict[str, list[tuple[list[float], float]]]  # work and seconds, for each 
 def fit(runs: Runs) -> dict[str, list[float]]:
     """Return non-negative rates by least squares of relative deviations."""
     fitted = {}
-    for precision, done in runs.items():
-        matrix = np.array([work for work, _ in done]) / np.array([[s] for _, s in done])
+    for precision, measured in runs.items():
+        matrix = np.array([work for work, _ in measured]) / np.array([[s] for _, s in measured])
         scale = np.abs(matrix).max(axis=0)
         scale[scale == 0.0] = 1.0
-        rates = nnls(matrix / scale, np.ones(len(done)))[0] / scale
+        rates = nnls(matrix / scale, np.ones(len(measured)))[0] / scale
         off = np.abs(matrix @ rates - 1.0)
-        print(f"    {len(done)} runs, deviations {np.median(off):.0%}, at most {off.max():.0%}")
+        print(f"    {len(measured)} runs, deviations {np.median(off):.0%}, at most {off.max():.0%}")
         fitted[precision] = [float(f"{rate:.3g}") for rate in rates]
     return fitted
 
@@ -118,8 +118,8 @@ def treecodes(cases: list[Case], method: Treecode) -> dict[str, Any]:
                 error, seconds, plan = case.run(method.name, precision=precision, **options)
                 info = plan.info()
                 far = info["far_pairs"]
-                done = [info["near_pairs"], far, far / terms, n * terms, 2 * n]
-                work[precision].append((done, seconds))
+                amounts = [info["near_pairs"], far, far / terms, n * terms, 2 * n]
+                work[precision].append((amounts, seconds))
                 if precision == "float64" and far and error > 1e-12:
                     degrees.append(degree)
                     digits.append(math.log10(error / case.probe))

@@ -3,6 +3,7 @@
 import ast
 import json
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -93,6 +94,20 @@ def test_in_auto_the_cheapest_offer_wins():
 def achieved_at(points, q, targets, values):
     exact = tc.evaluate(KERNEL, points, q, targets, backend=tc.EXACT.backend)
     return tc.relative_error(values, exact)
+
+
+class Undecided(Grid):
+    """Has no default."""
+
+    name = "undecided"
+    parameters: ClassVar = {"degree": Grid.parameters["degree"]._replace(default=None)}
+
+
+def test_what_has_no_default_must_be_given():
+    methods.register(Undecided())
+    with pytest.raises(ValueError, match=r"^degree must be given for backend 'undecided', got {}"):
+        tc.Plan(KERNEL, "undecided")
+    assert tc.Plan(KERNEL, "undecided", degree=3).choice == tc.Choice("undecided", degree=3)
 
 
 class Boastful(Grid):

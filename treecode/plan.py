@@ -114,8 +114,14 @@ class Plan:
         self._counts, self._groups = (0, 0), None
         self._unsorted: tuple[np.ndarray, np.ndarray | None] | None = None
         self._points_set = False
-        keywords = (theta, degree, leaf_size, precision, tol)
-        self._begin(_checked_keywords(backend, dict(zip(KEYWORDS, keywords, strict=True))))
+        keywords = {
+            "theta": theta,
+            "degree": degree,
+            "leaf_size": leaf_size,
+            "precision": precision,
+            "tol": tol,
+        }
+        self._begin(_checked_keywords(backend, keywords))
 
     def _begin(self, given: dict[str, Any]) -> None:
         """Make the sum that is given, or prepare the search for one."""
@@ -133,6 +139,7 @@ class Plan:
             given = {**given, "tol": tol}
             self._search = Search(self.kernel, (method,), tol, given, self._progress)
         if first is not None:
+            registry.require_complete(method, first)
             self._first = Choice(method.name, **first)
             self._sum = self._first.sum(self.kernel, self._progress)
             self._choice = None if self._search else self._first

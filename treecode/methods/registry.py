@@ -128,6 +128,15 @@ class Choice:
         return method.make(kernel, method.complete(self.parameters), progress)
 
 
+def require_complete(method: Method, values: Mapping[str, Any], prefix: str = "") -> None:
+    """Refuse parameters among which one is missing that a sum must have."""
+    for name, parameter in method.parameters.items():
+        if parameter.required and name not in values:
+            raise ValueError(
+                f"{prefix}{name} must be given for backend {method.name!r}, got {dict(values)!r}"
+            )
+
+
 def require_choice(choice: Any, kernel: Kernel) -> Choice:
     """Return `choice` if it is one, has all parameters in their ranges, and is for a kernel.
 
@@ -140,13 +149,8 @@ def require_choice(choice: Any, kernel: Kernel) -> Choice:
         raise TypeError(f"choice must be a treecode.Choice, such as Plan.choice, got {choice!r}")
     method = get(choice.backend, "choice.backend")
     require_kernel(kernel, method.name)
-    given = choice.parameters
-    for name, parameter in method.parameters.items():
-        if parameter.required and name not in given:
-            raise ValueError(
-                f"choice.{name} must be given for backend {method.name!r}, got {choice!r}"
-            )
-    for name, value in given.items():
+    require_complete(method, choice.parameters, "choice.")
+    for name, value in choice.parameters.items():
         if name not in method.parameters:
             check.absent(f"with backend {method.name!r}", **{f"choice.{name}": value})
         method.parameters[name].check(f"choice.{name}", value)
