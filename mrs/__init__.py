@@ -14,6 +14,7 @@ from mrs.bodies import (
     random_suspension,
 )
 from mrs.bodies.geometry import Centerline
+from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Flow, Fluid, flows
 from mrs.forces import FORCES, Force, Steric
 from mrs.output.formats import FORMATS
@@ -52,6 +53,7 @@ __all__ = [
     "Integrator",
     "Interrupt",
     "Interval",
+    "Layout",
     "Moment",
     "Never",
     "Output",

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import mrs
-from mrs.run import cli
+from mrs.run import cli, scenario_files
 from tests.cases import rod_oracle as oracle
 from tests.plugins import adams_bashforth, crossing, gravity, symmetry_plane, weights, xyz
 
@@ -288,3 +288,20 @@ def test_formats_and_columns_that_are_refused():
         mrs.Output("run", 0.1, formats=["pvd", "pvd"])
     with pytest.raises(TypeError, match="columns must be a dict of functions by name"):
         mrs.Output("run", 0.1, columns=["x"])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"plugins": ["none.py"]}, "plugins: there is no file .*none.py"),
+        ({"plugins": "none.py"}, "plugins: .*list"),
+        ({"weighs": []}, "weighs: no such option; did you mean 'weights'"),
+        ({"weights": [{"position": []}]}, "did you mean 'weights.positions'"),
+        ({"weights": [{"positions": [[0, 0, 0]], "force": 1, "epsilon": 1}]}, r"weights\.0\.force"),
+        ({"formats": ["xy"]}, r"formats: formats\[0\] must be one of 'vtkhdf', 'pvd', 'xyz'"),
+        ({"gravity": {"mass": 1.0}}, r"gravity\.mass: no such option"),
+    ],
+)
+def test_mistakes_in_toml_are_named(options, message):
+    with pytest.raises(mrs.ScenarioError, match=message):
+        scenario_files.make("scene", options)

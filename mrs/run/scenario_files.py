@@ -42,7 +42,7 @@ def find(name: str) -> type[Scenario]:
     """
     in_file = re.fullmatch(r"(.+\.py)(?::(\w+))?", name, re.IGNORECASE)
     if in_file:
-        return _only(import_file(Path(in_file[1])), name, in_file[2])
+        return _only(import_file("scenario", Path(in_file[1])), name, in_file[2])
     if name == "scene":
         return toml_scene.scene()
     if name not in known():
@@ -82,12 +82,20 @@ def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario
     ScenarioError
         The message names each option, its value and what is allowed, and the nearest known option.
     """
-    plugins = [str(Path(file).resolve()) for file in options.get("plugins", ())]
-    for file in plugins:
-        import_file(Path(file))
+    options = _beside(Path(), options)
+    if isinstance(options.get("plugins"), list):
+        for file in options["plugins"]:
+            import_file("plugins", Path(file))
     scenario = find(name)
-    given = options | ({"plugins": plugins} if plugins else {})
-    return scenario(**(scenario.quick if quick else {}) | given)
+    return scenario(**(scenario.quick if quick else {}) | options)
+
+
+def _beside(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Return options in which the plugins that are named relative to a folder have whole paths."""
+    files = options.get("plugins")
+    if not isinstance(files, list):  # refused with the other options
+        return options
+    return options | {"plugins": [str((folder / str(file)).resolve()) for file in files]}
 
 
 def _only(module: Any, name: str, wanted: str | None = None) -> type[Scenario]:
@@ -114,9 +122,9 @@ def _only(module: Any, name: str, wanted: str | None = None) -> type[Scenario]:
     )
 
 
-def import_file(path: Path) -> Any:
+def import_file(option: str, path: Path) -> Any:
     if not path.is_file():
-        raise ScenarioError(f"there is no file {str(path)!r}")
+        raise ScenarioError(f"{option}: there is no file {str(path)!r}")
     loader = importlib.machinery.SourceFileLoader(FILE_PREFIX + path.stem, str(path))
     spec = importlib.util.spec_from_loader(loader.name, loader)
     assert spec is not None
@@ -145,6 +153,4 @@ def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
     scenario, options = content["scenario"], content.get("options", {})
     if not isinstance(scenario, str) or not isinstance(options, dict):
         raise ScenarioError(f"{path}: scenario must be a text and options a table")
-    if "plugins" in options:  # beside the file
-        options["plugins"] = [str(Path(path).parent / file) for file in options["plugins"]]
-    return scenario, options
+    return scenario, _beside(Path(path).parent, options)
