@@ -13,6 +13,7 @@ from typing import Any
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.one_sum
 
@@ -26,10 +27,10 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": "fmm", "tol": 3e-5}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = "N,epsilon,backend,parameters,E,K: E,seconds"
-    return tables.table(header.split(","), map(_line, rows))
+    return markdown.table(header.split(","), map(_line, rows))
 
 
 def _line(row: Row) -> list[str]:

@@ -15,6 +15,7 @@ from benchmarks import plots, sums, tables
 from benchmarks.experiments.curve import treecode
 from benchmarks.point_sets import UNEVEN
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.one_sum
 
@@ -27,10 +28,10 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": "fmm", "tol": 1e-3}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = f"{tables.CASE},E,build (s),seconds,a point beside the cube"
-    return tables.table(header.split(","), (_line(row, rows) for row in rows))
+    return markdown.table(header.split(","), (_line(row, rows) for row in rows))
 
 
 def _line(row: Row, rows: list[Row]) -> list[str]:
