@@ -26,11 +26,14 @@ import numpy as np
 
 import treecode as tc
 from benchmarks.machine import machine_today, publish
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row, Rows
 from mrs import markdown
 from tests.cases import tolerance
-from treecode import auto
-from treecode.backends.walk import PRECISIONS
+from treecode import methods
+from treecode.methods.base import PRECISIONS
+from treecode.methods.fmm.method import TOLERANCES
+from treecode.methods.treecode import LEAF_SIZES, THETAS
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
 COLUMNS = (
@@ -50,12 +53,12 @@ class Sum:
         self.points = tolerance.SETS[name](n, rng)
         self.forces = rng.standard_normal((n, 3))
         self.drawn = np.random.default_rng(1).permutation(n)[:CHECKED]
-        self.exact, seconds = self.lap(tc.Plan(KERNEL, "direct"))
+        self.exact, seconds = self.lap(tc.Plan(KERNEL, DIRECT))
         self.direct_seconds = seconds * n / len(self.drawn)
 
     def lap(self, plan: tc.Plan) -> tuple[np.ndarray, float]:
         """Return values and seconds; of "direct" at the drawn targets alone."""
-        targets = self.points[self.drawn] if plan.backend == "direct" else None
+        targets = self.points[self.drawn] if plan.backend == DIRECT else None
         start = time.process_time()
         values = plan.set_points(self.points, targets).execute(self.forces)
         return values, time.process_time() - start
@@ -66,15 +69,15 @@ class Sum:
 
     def direct(self, tol: float) -> tc.Plan:
         """Return direct sums, in singles if these reach a tolerance."""
-        single = tc.Plan(KERNEL, "direct", precision="float32")
+        single = tc.Plan(KERNEL, DIRECT, precision="float32")
         good = tc.relative_error(self.lap(single)[0], self.exact) <= tol
-        return single if good else tc.Plan(KERNEL, "direct")
+        return single if good else tc.Plan(KERNEL, DIRECT)
 
     def treecode(self, backend: str, tol: float) -> tc.Plan | None:
         """Return the fastest that reaches a tolerance."""
         best, winner = math.inf, None
-        for theta in auto.THETAS:
-            for degree in auto.DEGREES[backend]:
+        for theta in THETAS:
+            for degree in methods.get(backend).degrees:
                 plan = tc.Plan(KERNEL, backend, theta=theta, degree=degree, leaf_size=500)
                 values, seconds = self.lap(plan)
                 good = self.error(values) <= tol
@@ -84,10 +87,13 @@ class Sum:
                     break
         if winner is None:
             return None
-        options: dict[str, Any] = {"theta": winner.theta, "degree": winner.degree}
+        options: dict[str, Any] = {
+            "theta": winner.parameters["theta"],
+            "degree": winner.parameters["degree"],
+        }
         plans = [
             tc.Plan(KERNEL, backend, leaf_size=size, precision=precision, **options)
-            for size, precision in product(auto.LEAF_SIZES, PRECISIONS)
+            for size, precision in product(LEAF_SIZES, PRECISIONS)
         ]
         laps = [self.lap(plan) for plan in plans]
         good = [
@@ -99,9 +105,9 @@ class Sum:
 
     def multipole(self, tol: float) -> tc.Plan | None:
         """Return the same for the fast multipole method."""
-        for asked in auto.TOLERANCES:
+        for asked in TOLERANCES:
             if asked <= 20.0 * tol:
-                plan = tc.Plan(KERNEL, "fmm", tol=asked)
+                plan = tc.Plan(KERNEL, FMM, tol=asked)
                 if self.error(self.lap(plan)[0]) <= tol:
                     return plan
         return None
@@ -127,8 +133,8 @@ def compare(points: str, n: int, tol: float) -> Row:
     *seconds, taken = case.in_turns(
         [
             case.direct(tol),
-            case.treecode("kitc", tol),
-            case.treecode("taylor", tol),
+            case.treecode(KITC, tol),
+            case.treecode(TAYLOR, tol),
             case.multipole(tol),
             chosen,
         ]

@@ -18,6 +18,7 @@ import numba
 import numpy as np
 
 import treecode as tc
+from benchmarks.methods import DIRECT
 from mrs import markdown
 
 FLAGS = ["-O3", "-march=native", "-ffast-math"]
@@ -51,7 +52,7 @@ def compare(kernel, plain, points: np.ndarray, repeats: int) -> list[str]:
     out = np.empty((kernel.value_size, m))
     arguments = [ctypes.c_long(m), ctypes.c_long(n), ctypes.c_double(EPSILON)]
     arguments += [a.ctypes.data_as(ctypes.c_void_p) for a in (x, y, z, columns, out)]
-    plan = tc.Plan(kernel, "direct").set_points(points, points[:m])
+    plan = tc.Plan(kernel, DIRECT).set_points(points, points[:m])
     plan.execute(strengths)
     times = np.array(
         [(seconds(plain, *arguments), seconds(plan.execute, strengths)) for _ in range(repeats)]

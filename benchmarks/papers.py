@@ -19,6 +19,7 @@ import numpy as np
 
 import treecode as tc
 from benchmarks import point_sets, printed
+from benchmarks.methods import KITC, TAYLOR
 from benchmarks.sums import Problem
 from benchmarks.tables import error
 from mrs import markdown
@@ -109,14 +110,14 @@ class Tables:
                     label = "one octant" if octant else "isotropic"
                     label += ", shuffled" if shuffle else ""
                     problem = self.organisms(n, 0.02, octant, shuffle)
-                    yield Row(label, problem, "kitc", 0.7, 7, 2000, theirs.error)
+                    yield Row(label, problem, KITC, 0.7, 7, 2000, theirs.error)
 
     def k3(self) -> Iterator[Row]:
         for epsilon, theirs in printed.K3.items() if self.limit >= 640_000 else ():
             for octant in (False, True):
                 label = f"eps {epsilon:g}, " + ("one octant" if octant else "isotropic")
                 problem = self.organisms(640_000, epsilon, octant)
-                yield Row(label, problem, "kitc", 0.7, 7, 2000, theirs)
+                yield Row(label, problem, KITC, 0.7, 7, 2000, theirs)
 
     def k5(self) -> Iterator[Row]:
         for side in (15, 20, 30, 40, 60, 80):
@@ -125,7 +126,7 @@ class Tables:
                 problem = self.problem(kernel, *point_sets.rods(side, self.seed))
                 theirs = printed.K5.get(side)
                 their_error = theirs.error if theirs else None
-                yield Row(f"{side} x {side}", problem, "kitc", 0.7, 7, 1000, their_error)
+                yield Row(f"{side} x {side}", problem, KITC, 0.7, 7, 1000, their_error)
 
     def t1(self) -> Iterator[Row]:
         for level in (6, 7):
@@ -144,27 +145,27 @@ class Tables:
         for theta in (0.2, 0.5, 0.8):
             for order in printed.ORDERS:
                 theirs = printed.taylor(size, theta, order)[1]
-                yield Row(label, problem, "taylor", theta, order, 2000, theirs)
+                yield Row(label, problem, TAYLOR, theta, order, 2000, theirs)
 
     def k2(self) -> Iterator[Row]:
         if self.limit >= 640_000:
             problem = self.organisms(640_000, 0.02, octant=True)
             for theta in (0.4, 0.5, 0.6, 0.7, 0.8):
                 for degree in range(1, 11):
-                    yield Row("one octant", problem, "kitc", theta, degree, 2000, None)
+                    yield Row("one octant", problem, KITC, theta, degree, 2000, None)
 
     def k3a(self) -> Iterator[Row]:
         for n in printed.K1:
             if n <= self.limit:
                 problem = self.organisms(n, 0.02, octant=True)
                 for degree in (1, 3, 5, 7, 9):
-                    yield Row("one octant", problem, "kitc", 0.7, degree, 2000, None)
+                    yield Row("one octant", problem, KITC, 0.7, degree, 2000, None)
 
     def sampling(self) -> float:
         """Return how far values at sampled targets are from those of a full run, relatively."""
         problem = self.organisms(10_000, 0.02, octant=True)
         options = {"theta": 0.7, "degree": 7, "leaf_size": 2000}
-        plan = tc.Plan(problem.kernel, "kitc", **options)
+        plan = tc.Plan(problem.kernel, KITC, **options)
         full = plan.set_points(problem.points).execute(problem.strengths)[problem.rows]
         sampled = plan.set_points(problem.points, problem.targets).execute(problem.strengths)
         return float(np.abs(full - sampled).max() / np.abs(full).max())

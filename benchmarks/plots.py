@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
 
 # Okabe and Ito's colours, which differ for colour-blind readers as well
 COLORS = {
-    "direct": "#000000",
-    "kitc": "#0072B2",
-    "taylor": "#D55E00",
-    "fmm": "#009E73",
+    DIRECT: "#000000",
+    KITC: "#0072B2",
+    TAYLOR: "#D55E00",
+    FMM: "#009E73",
     "fmm3d": "#CC79A7",
     "euler": "#000000",
     "heun": "#E69F00",

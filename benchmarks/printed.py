@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from benchmarks.methods import DIRECT, KITC, TAYLOR
+
 ORDERS = (0, 2, 4, 6, 8, 10)
 DEGREES = (1, 3, 5, 7, 9)
 
@@ -43,12 +45,12 @@ K3 = {0.005: 7.68e-6, 0.01: 2.08e-5, 0.02: 3.17e-5, 0.04: 2.78e-5, 0.08: 1.93e-5
 # K tables 4 (organisms, 640K) and 5 (80 x 80 rods), T table 5 (cube, 1000K, theta 0.5, p = 6):
 # seconds on one core and on two
 THREADS = {
-    ("organisms", 640_000, "direct"): (2249.71, 1123.72),
-    ("organisms", 640_000, "kitc"): (149.75, 75.01),
-    ("rods", 80, "direct"): (15651.61, 7907.10),
-    ("rods", 80, "kitc"): (720.87, 371.91),
-    ("cube", 1_000_000, "direct"): (9707.0, 4911.4),
-    ("cube", 1_000_000, "taylor"): (336.6, 176.3),
+    ("organisms", 640_000, DIRECT): (2249.71, 1123.72),
+    ("organisms", 640_000, KITC): (149.75, 75.01),
+    ("rods", 80, DIRECT): (15651.61, 7907.10),
+    ("rods", 80, KITC): (720.87, 371.91),
+    ("cube", 1_000_000, DIRECT): (9707.0, 4911.4),
+    ("cube", 1_000_000, TAYLOR): (336.6, 176.3),
 }
 
 # K figure 5 and table 5, by rods on a side

@@ -28,6 +28,7 @@ import numpy as np
 import treecode as tc
 from benchmarks import sums
 from benchmarks.machine import machine_today, publish
+from benchmarks.methods import KITC, TAYLOR
 from benchmarks.point_sets import CUBE_DENSITY, CUBE_SIDE
 from mrs import markdown
 
@@ -120,7 +121,7 @@ def programs(points: int) -> dict[str, Published]:
     organisms = {"points": "organisms", "size": n, "epsilon": 0.02, "theta": 0.7, "degree": 7}
     cube = {"points": "cube", "size": n, "theta": 0.5, "degree": 6}
     return {
-        "kitc": Published(
+        KITC: Published(
             "code_RegStokes_BLTC_case_1.cpp",
             organisms,
             {"DEL": 0.02},
@@ -128,7 +129,7 @@ def programs(points: int) -> dict[str, Published]:
             (-half, -half, 0.0),
             1.0 / (8.0 * np.pi),
         ),
-        "taylor": Published(
+        TAYLOR: Published(
             "code_SingStokes_TTC_case_1.cpp",
             cube,
             {"L": (n / CUBE_DENSITY) ** (1.0 / 3.0)},
@@ -168,7 +169,7 @@ def compare(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("code", type=Path, help="a clone of their programs")
-    parser.add_argument("--sums", nargs="+", choices=("kitc", "taylor"), default=["kitc", "taylor"])
+    parser.add_argument("--sums", nargs="+", choices=(KITC, TAYLOR), default=[KITC, TAYLOR])
     parser.add_argument("--points", type=int, help="640,000 and 1,000,000 by default, as they have")
     parser.add_argument("--flags", nargs="+", default=["-O2", "-O3 -march=native -ffast-math"])
     parser.add_argument("--turns", type=int, default=1)
@@ -181,7 +182,7 @@ def main() -> None:
     flags = [flag.split() for flag in options.flags]
     rows: list[list[str]] = []
     for backend in options.sums:
-        points = options.points or {"kitc": 640_000, "taylor": 1_000_000}[backend]
+        points = options.points or {KITC: 640_000, TAYLOR: 1_000_000}[backend]
         published = programs(points)[backend]
         rows += compare(backend, published, options.code, flags, options.turns)
     lines += markdown.table(HEADER, rows)

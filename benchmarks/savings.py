@@ -20,23 +20,24 @@ from tqdm import tqdm
 import mrs
 import treecode as tc
 from benchmarks.machine import machine_today, publish
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from mrs import markdown
 from mrs.profile import STAGES, Profile
-from treecode.backends import taylor
+from treecode.methods import taylor
 
 STEPS = 10
 TURNS = 9
 IMPORTED = "numpy", "numba", "treecode", "mrs", "mrs, scipy.spatial", "mrs, pyvista, meshio"
 EULER = mrs.Integrator("euler", dt=1e-6)
-KITC = mrs.Backend("kitc", theta=0.7, degree=5, leaf_size=1000)
-FMM = mrs.Backend("fmm", tolerance=1e-4)
+BY_KITC = mrs.Backend(KITC, theta=0.7, degree=5, leaf_size=1000)
+BY_FMM = mrs.Backend(FMM, tolerance=1e-4)
 
 
 def swimmers(count: int) -> mrs.Simulation:
     """Return a suspension as dense as that of the scenario."""
     positions, along = mrs.random_suspension(count, 1.2 * count ** (1 / 3), 0.2, reach=1.0)
     bodies = [mrs.Swimmers(positions, along, length=1.0, force=1.0, epsilon=0.1)]
-    return mrs.Simulation(mrs.Fluid(), bodies, backend="direct", integrator=EULER)
+    return mrs.Simulation(mrs.Fluid(), bodies, backend=DIRECT, integrator=EULER)
 
 
 def rods(side: int, backend: mrs.Backend) -> mrs.Simulation:
@@ -78,8 +79,8 @@ def profiles() -> Iterator[str]:
     """Yield the lines of a table: a row a stage, a column a scene."""
     scenes = {
         "8000 swimmers": profiled(swimmers(8000)),
-        "15 x 15 rods, kitc": profiled(rods(15, KITC)),
-        "15 x 15 rods, fmm": profiled(rods(15, FMM)),
+        "15 x 15 rods, kitc": profiled(rods(15, BY_KITC)),
+        "15 x 15 rods, fmm": profiled(rods(15, BY_FMM)),
         "16000 tracers": profiled(tracers(16000)),
     }
     steps = scenes.values()
@@ -124,22 +125,22 @@ def savings() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]
     points = rng.random((8000, 3))
     yield (
         "swimmers have no torques: sums of 8000 points, 3 by 3 beside 6 by 6, direct",
-        summed(stokeslet, "direct", points, None),
-        summed(rotlet, "direct", points, None),
+        summed(stokeslet, DIRECT, points, None),
+        summed(rotlet, DIRECT, points, None),
     )
     yield (
         "tracers put no force on the fluid: 4000 sources and 8000 targets beside 8000 of both",
-        summed(stokeslet, "direct", points[:4000], points),
-        summed(stokeslet, "direct", points, None),
+        summed(stokeslet, DIRECT, points[:4000], points),
+        summed(stokeslet, DIRECT, points, None),
     )
     few = points[:1000]
     beyond = np.concatenate([few[1:], [[9.0, 9.0, 9.0]]])  # one target that accepts the root
     yield (
         "no weights of a cluster that no target accepts: 1000 points in one leaf, kitc, degree 7",
-        summed(stokeslet, "kitc", few, few, degree=7),
-        summed(stokeslet, "kitc", few, beyond, degree=7),
+        summed(stokeslet, KITC, few, few, degree=7),
+        summed(stokeslet, KITC, few, beyond, degree=7),
     )
-    again = summed(stokeslet, "taylor", few, None, degree=7, leaf_size=100)
+    again = summed(stokeslet, TAYLOR, few, None, degree=7, leaf_size=100)
 
     def anew() -> None:
         taylor._tables.cache_clear()
@@ -153,7 +154,7 @@ def savings() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]
         lambda: shear.velocity(many, 0.0),
         lambda: tube.velocity(many, 0.0),
     )
-    fewer = summed(stokeslet, "direct", points[:76], None)
+    fewer = summed(stokeslet, DIRECT, points[:76], None)
 
     def with_bar() -> None:
         tqdm(total=1, disable=True).close()
@@ -166,8 +167,8 @@ def possible() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]
     """Yield what could be saved and is not, in the same way."""
     points = np.random.default_rng(0).random((34_000, 3))
     for backend, options in (
-        ("kitc", {"degree": 5, "leaf_size": 1000}),
-        ("fmm", {"tol": 1e-4}),
+        (KITC, {"degree": 5, "leaf_size": 1000}),
+        (FMM, {"tol": 1e-4}),
     ):
         kernel = tc.RegularizedStokeslet(0.02)
         plan = tc.Plan(kernel, backend, **options).set_points(points)

@@ -20,8 +20,9 @@ import numpy as np
 
 import treecode as tc
 from benchmarks import point_sets
+from benchmarks.methods import DIRECT
 from benchmarks.rows import Row
-from treecode.fmm import store
+from treecode.methods.fmm import store
 
 SAMPLES = 2000  # targets at which errors are taken, as in K 8.1.2
 DIRECT_PAIRS, SAMPLED_PAIRS = 7e9, 3e9  # of direct sums; beyond the first, the second stand for all
@@ -47,7 +48,7 @@ class Problem:
     def exact(self) -> np.ndarray:
         """The direct sum."""
         return tc.evaluate(
-            self.kernel, self.points, self.strengths, targets=self.targets, backend="direct"
+            self.kernel, self.points, self.strengths, targets=self.targets, backend=DIRECT
         )
 
     @cached_property
@@ -55,7 +56,7 @@ class Problem:
         """K(0) q: what each target contributes to its own sum, 0 for a singular kernel."""
         origin = np.zeros((1, 3))
         units = np.eye(self.kernel.strength_size)[:, None]
-        columns = [tc.evaluate(self.kernel, origin, unit, backend="direct")[0] for unit in units]
+        columns = [tc.evaluate(self.kernel, origin, unit, backend=DIRECT)[0] for unit in units]
         return self.strengths[self.rows] @ np.array(columns)
 
 
@@ -165,7 +166,7 @@ class Sum:
         self.problem = make_problem(points, size, epsilon, backend == "fmm3d")
         self.backend, n = backend, len(self.problem.points)
         wanted = SAMPLES if sampled else n
-        if backend == "direct" and n * n > DIRECT_PAIRS:
+        if backend == DIRECT and n * n > DIRECT_PAIRS:
             wanted = int(SAMPLED_PAIRS / n)
         self.share = min(wanted / n, 1.0)  # of all targets
         self.targets = self.problem.points[draw(n, wanted)] if wanted < n else None
@@ -185,7 +186,7 @@ class Sum:
 
     def error(self) -> float | None:
         """Return E of the last lap, K eq. (8.1); None for what errors are taken against."""
-        if self.backend == "direct":
+        if self.backend == DIRECT:
             return None
         rows = self.problem.rows if self.targets is None else slice(SAMPLES)
         return tc.relative_error(self.values[rows], self.problem.exact)
@@ -264,7 +265,7 @@ def peak_memory(points: str, size: int, backend: str, **options: Any) -> Row:
     numba.set_num_threads(numba.config.NUMBA_NUM_THREADS)
     problem = make_problem(points, size, options.pop("epsilon", None))
     n = len(problem.points)
-    count = min(n, 10_000) if backend == "direct" else n
+    count = min(n, 10_000) if backend == DIRECT else n
     sources, strengths = problem.points[:count], problem.strengths[:count]
     warm_up(problem, backend, options)  # compilers use memory too
     tc.Plan(problem.kernel, backend, **options).set_points(sources)  # operators to the disk

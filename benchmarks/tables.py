@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from benchmarks.methods import FMM, TAYLOR
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -32,7 +33,7 @@ def seconds(row: Row, key: str = "seconds") -> str:
 
 def build(row: Row) -> str:
     """Return the seconds in which operators were built, "" where there are none."""
-    return figure(row["build"]) if row["backend"] == "fmm" else ""
+    return figure(row["build"]) if row["backend"] == FMM else ""
 
 
 def ratio(printed: float | None, ours: float) -> str:
@@ -42,7 +43,7 @@ def ratio(printed: float | None, ours: float) -> str:
 
 def options(row: Row) -> str:
     """Return the parameters of a backend."""
-    names = {"theta": "theta", "degree": "p" if row["backend"] == "taylor" else "n", "tol": "tol"}
+    names = {"theta": "theta", "degree": "p" if row["backend"] == TAYLOR else "n", "tol": "tol"}
     parts = [f"{short} {row[name]:g}" for name, short in names.items() if name in row]
     if "tol" not in row and row.get("precision") == "float32":  # else the tolerance decides
         parts.append("float32")

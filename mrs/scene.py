@@ -87,6 +87,7 @@ class Scene:
             layout.has_spin,
             layout.numbers,
             self.backend,
+            fluid.boundary,
         )
         self._set_scales()
         self._last: Evaluation | None = None
@@ -144,8 +145,17 @@ class Scene:
         if self.forces and len(forced):
             touching = points[forced]
             for force in self.forces:
-                loads[forced, :3] += force.forces(time, touching, self.layout)
+                values = force.forces(time, touching, self.layout)
+                loads[forced, :3] += self._checked(force, values, time)
         return loads
+
+    def _checked(self, force: Force, values: np.ndarray, time: float) -> np.ndarray:
+        """Return the forces, (F, 3), that a force gives at the points `layout.forced`."""
+
+        def where(row: int) -> str:
+            return f"at {self.layout.point_name(int(self.layout.forced[row]))} and time {time:g}"
+
+        return check.vectors(f"force {force.kind!r}", values, len(self.layout.forced), where)
 
     def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         if not self.mobility.evaluations:

@@ -9,7 +9,8 @@ from mrs.fluid.mobility import Mobility
 from tests.cases.apart import Apart, achieved, solve
 from tests.cases.tolerance import KERNELS
 from tests.test_tolerance import random_sum
-from treecode import auto
+from treecode.accuracy import Parts
+from treecode.choice import sampling, search
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
 
@@ -17,8 +18,8 @@ KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
 @pytest.fixture
 def no_sum_is_short(monkeypatch):
     """Sums that are otherwise too short to be thought about, or watched, are."""
-    monkeypatch.setattr(auto, "FEW", 0)
-    monkeypatch.setattr(auto, "WATCHED_FROM", 0)
+    monkeypatch.setattr(search, "FEW", 0)
+    monkeypatch.setattr(sampling, "WATCHED_FROM", 0)
 
 
 def opposite_pairs(n, rng):
@@ -48,7 +49,7 @@ def test_fmm_by_name_far_from_opposite_pairs():
     plan = tc.Plan(KERNEL, "fmm", tol=1e-3).set_points(sources, targets)
     groups = np.zeros(500, int)
     assert achieved(KERNEL, sources, q, targets, groups, plan.execute(q)) <= 1e-3
-    assert plan.choice.tol < 1e-3
+    assert plan.choice.parameters["tol"] < 1e-3
 
 
 def test_fmm_by_name_at_centres_of_cubes():
@@ -148,7 +149,7 @@ def test_watching_changes_no_bit():
 def test_one_bad_target_is_not_taken_for_all():
     """The largest error of those watched is left out: a draw of one of few that carry the norm."""
     kernel = KERNELS["Stokeslet"](0.0)
-    parts = auto.Parts.of(kernel, 1000)
+    parts = Parts.of(kernel, 1000)
     rows = parts.watch(16)
     exact = np.ones((16, 3))
     values = np.ones((1000, 3))
@@ -159,7 +160,7 @@ def test_one_bad_target_is_not_taken_for_all():
 
 
 def test_watched_targets_are_of_every_group():
-    parts = auto.Parts.of(KERNEL, 1000, np.repeat([5, 2, 9], [900, 98, 2]))
+    parts = Parts.of(KERNEL, 1000, np.repeat([5, 2, 9], [900, 98, 2]))
     rows = parts.watch(16)
     assert sorted(parts.groups[rows[:3]]) == [0, 1, 2]
     assert np.bincount(parts.groups[rows]).tolist() == [5, 5, 2]

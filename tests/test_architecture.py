@@ -31,32 +31,75 @@ ALLOWED = {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
         "treecode.threads", "treecode.tree",
     },
-    "treecode.backends": {
-        "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
-        "treecode.threads", "treecode.timing", "treecode.traversal", "treecode.tree",
-        "treecode.upward",
+    "treecode.methods.base": {"treecode.check", "treecode.kernels.base"},
+    "treecode.methods.registry": {
+        "treecode.check", "treecode.kernels.base", "treecode.methods.base",
     },
-    "treecode.fmm.octree": {"treecode._jit", "treecode.threads", "treecode.tree"},
-    "treecode.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
-    "treecode.fmm.operators": {"treecode.fmm.symmetry", "treecode.kernels.base"},
-    "treecode.fmm.store": {
-        "treecode._fingerprint", "treecode._jit", "treecode.cache", "treecode.fmm.operators",
-        "treecode.kernels.base",
+    "treecode.methods.walk": {
+        "treecode.kernels.base", "treecode.methods.base", "treecode.threads", "treecode.timing",
+        "treecode.traversal", "treecode.tree",
     },
-    "treecode.fmm.passes": {
-        "treecode._jit", "treecode._lanes", "treecode.fmm.octree", "treecode.fmm.symmetry",
-        "treecode.pairs",
-    },
-    "treecode.fmm.multipole": {
-        "treecode._jit", "treecode.fmm", "treecode.kernels.base", "treecode.memory",
-        "treecode.threads", "treecode.timing", "treecode.traversal",
-    },
-    "treecode.fmm": set(),
-    "treecode.auto": {
-        "treecode._lanes", "treecode.accuracy", "treecode.backends", "treecode.fmm.multipole",
-        "treecode.kernels.base", "treecode.pairs", "treecode.threads", "treecode.traversal",
+    "treecode.methods.treecode": {
+        "treecode.check", "treecode.methods.base", "treecode.methods.walk", "treecode.traversal",
         "treecode.tree",
     },
+    "treecode.methods.direct": {
+        "treecode.methods.base", "treecode.methods.registry", "treecode.methods.walk",
+        "treecode.threads", "treecode.tree",
+    },
+    "treecode.methods.kitc": {
+        "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.methods.treecode",
+        "treecode.pairs", "treecode.threads", "treecode.tree", "treecode.upward",
+    },
+    "treecode.methods.taylor": {
+        "treecode._jit", "treecode._lanes", "treecode.check", "treecode.kernels.base",
+        "treecode.methods.base", "treecode.methods.treecode", "treecode.threads", "treecode.tree",
+        "treecode.upward",
+    },
+    "treecode.methods.fmm.legendre": set(),
+    "treecode.methods.fmm.octree": {"treecode._jit", "treecode.threads", "treecode.tree"},
+    "treecode.methods.fmm.symmetry": {"treecode._jit", "treecode.kernels.base", "treecode.pairs"},
+    "treecode.methods.fmm.level": {"treecode.methods.fmm.legendre"},
+    "treecode.methods.fmm.bases": {
+        "treecode.methods.fmm.legendre", "treecode.methods.fmm.level",
+        "treecode.methods.fmm.symmetry",
+    },
+    "treecode.methods.fmm.operators": {
+        "treecode.kernels.base", "treecode.methods.fmm.bases", "treecode.methods.fmm.legendre",
+        "treecode.methods.fmm.level", "treecode.methods.fmm.symmetry",
+    },
+    "treecode.methods.fmm.transfer": {
+        "treecode.methods.fmm.legendre", "treecode.methods.fmm.level",
+    },
+    "treecode.methods.fmm.store": {
+        "treecode._fingerprint", "treecode._jit", "treecode.cache", "treecode.kernels.base",
+        "treecode.methods.fmm.level", "treecode.methods.fmm.operators",
+    },
+    "treecode.methods.fmm.blas": {"treecode._jit"},
+    "treecode.methods.fmm.loops": {
+        "treecode._jit", "treecode._lanes", "treecode.methods.fmm.octree",
+        "treecode.methods.fmm.symmetry", "treecode.pairs",
+    },
+    "treecode.methods.fmm.lists": {"treecode.methods.fmm.octree", "treecode.threads"},
+    "treecode.methods.fmm.sizing": {
+        "treecode.kernels.base", "treecode.memory", "treecode.methods.fmm.octree",
+        "treecode.threads",
+    },
+    "treecode.methods.fmm": {
+        "treecode.check", "treecode.kernels.base", "treecode.methods.base", "treecode.methods.fmm",
+        "treecode.threads", "treecode.timing", "treecode.traversal",
+    },
+    "treecode.methods": {"treecode.methods"},
+    "treecode.choice.model": {"treecode.kernels.base"},
+    "treecode.choice.refusals": set(),
+    "treecode.choice.sampling": {
+        "treecode._lanes", "treecode.accuracy", "treecode.kernels.base", "treecode.methods.base",
+        "treecode.methods.direct", "treecode.pairs", "treecode.threads", "treecode.traversal",
+    },
+    "treecode.choice": {
+        "treecode.accuracy", "treecode.choice", "treecode.kernels.base", "treecode.methods",
+    },
+    "treecode.boundary": {"treecode.kernels.base"},
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},
@@ -72,7 +115,7 @@ ALLOWED = {
         "mrs.time.state",
     },
     "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.forces", "mrs.registry"},
-    "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry"},
+    "mrs.fluid": {"mrs.check", "mrs.fluid"},
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",

@@ -137,6 +137,8 @@ BAD = [
     (lambda: mrs.Backend("kitc", theta=1.5), "theta must be .*got 1.5"),
     (lambda: mrs.Backend("kitc", degree=2.5), "degree must be .*got 2.5"),
     (lambda: mrs.Backend("auto", degree=3), "degree must be None with backend 'auto'"),
+    (lambda: mrs.Backend("direct", precision="half"), "precision must be one of .*got 'half'"),
+    (lambda: mrs.Backend("kitc", precision="float32"), "precision must be None with tol"),
     (lambda: mrs.Backend(tolerance=0.0), "tolerance must be .*got 0.0"),
     (lambda: mrs.Output("run", interval="abc"), "interval must be .*got 'abc'"),
     (lambda: mrs.Output("run", interval=0.0), "interval must be .*got 0.0"),
@@ -331,6 +333,18 @@ def test_options_that_are_refused_when_built(options, message, tmp_path):
     with pytest.raises(mrs.ScenarioError, match=message):
         scene.simulation(tmp_path / "run")
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_precision_of_the_sums_is_an_option(precision):
+    """In scenes as in Python; singles leave an error of 1e-7."""
+    given = {"backend": {"name": "direct", "precision": precision}}
+    sim = mrs.scenario.make("helical_swimmer", given, quick=True).simulation()
+    assert sim.backend == mrs.Backend("direct", precision=precision)
+    now = sim.evaluate(0.0, sim.state)
+    assert {info["precision"] for info in sim.mobility.infos()} == {precision}
+    error = sim.mobility.sampled_error(now.points, now.loads)
+    assert 1e-9 < error < 1e-5 if precision == "float32" else error == 0.0
 
 
 def test_a_text_stands_for_the_name_of_a_backend():

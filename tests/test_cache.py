@@ -17,7 +17,7 @@ import pytest
 import treecode as tc
 from treecode import _jit, cache
 from treecode._fingerprint import fingerprint
-from treecode.fmm import store
+from treecode.methods.fmm import store
 
 ROOT = Path(__file__).parents[1]
 

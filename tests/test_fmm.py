@@ -11,9 +11,11 @@ import treecode as tc
 from tests.cases.oracle import each_kernel, exact, random_case, with_epsilon
 from tests.cases.rotne_prager import RotnePrager
 from tests.test_degenerate import POINTS
-from treecode import auto
-from treecode.fmm import multipole, octree, operators, store, symmetry
-from treecode.fmm.symmetry import find_symmetry
+from treecode.choice import search
+from treecode.methods import fmm
+from treecode.methods.fmm import hierarchy, legendre, octree, operators, sizing, store, symmetry
+from treecode.methods.fmm.level import OFFSETS, meeting
+from treecode.methods.fmm.symmetry import find_symmetry
 from treecode.threads import Threads
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
@@ -44,7 +46,7 @@ def test_reaches_the_tolerance(kernel):
     assert info["near_pairs"] < 0.2 * 6000**2
     singular = not hasattr(kernel, "epsilon")
     assert info["precision"] == ("float64" if singular else "float32")
-    levels = plan._sum._levels.values()
+    levels = plan._sum._operators.levels.values()
     # A kernel without a length of its own needs the operators of one size alone.
     assert len({id(level.matrices) for level in levels}) == (1 if singular else len(levels))
     assert len(levels) > 1
@@ -131,8 +133,8 @@ def test_cubes_of_different_size_meet():
     strengths = np.ones((6000, 3))
     achieved, plan = error(kernel, 1e-4, points, strengths, leaf_size=20)
     assert achieved <= 1e-4
-    assert len(plan._sum._proxy_boxes)
-    assert len(plan._sum._coarse_boxes)
+    assert len(plan._sum._lists.proxy_boxes)
+    assert len(plan._sum._lists.coarse_boxes)
     assert plan.info()["near_pairs"] < 0.1 * 6000**2
 
 
@@ -149,7 +151,7 @@ def test_moving_points_keep_the_operators(monkeypatch):
     """While the root fits nothing is built, nor looked up, in later steps."""
     points, strengths, _ = random_case(KERNEL, 4000, 8)
     plan = tc.Plan(KERNEL, "fmm", tol=1e-2, leaf_size=30).set_points(points)
-    monkeypatch.setattr(multipole, "get_level", None)
+    monkeypatch.setattr(hierarchy, "get_level", None)
     moved = 0.99 * points
     values = plan.set_points(moved).execute(strengths)
     expected = tc.evaluate(KERNEL, moved, strengths, backend="direct")
@@ -275,18 +277,18 @@ class Compact(NamedTuple):
 )
 def test_kernels_it_does_not_take_are_refused(monkeypatch, kernel, words):
     """By name, where SVDs did not converge; and "auto" takes what needs no operators of theirs."""
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     rng = np.random.default_rng(17)
     points, strengths = rng.random((2000, 3)), rng.standard_normal((2000, kernel.strength_size))
     with pytest.raises(ValueError, match=f"^backend must be 'kitc' or 'direct' .*{words}"):
         tc.Plan(kernel, "fmm", leaf_size=10).set_points(points)
-    seconds = auto.Model.seconds
+    method, offers = type(fmm.METHOD), fmm.METHOD.offers
 
-    def fmm_is_cheapest(model, backend, precision, work):
-        return (1e-9 if backend == "fmm" else 1.0) * seconds(model, backend, precision, work)
+    def cheapest(self, case, given):
+        return [offer._replace(seconds=1e-9 * offer.seconds) for offer in offers(case, given)]
 
-    monkeypatch.setattr(auto.Model, "seconds", fmm_is_cheapest)
-    monkeypatch.setattr(auto.Model, "building_seconds", lambda *args: 0.0)
+    monkeypatch.setattr(method, "offers", cheapest)
+    monkeypatch.setattr(method, "building_seconds", lambda *args: 0.0)
     plan = tc.Plan(kernel, tol=1e-3).set_points(points)
     values = plan.execute(strengths)
     exact_values = tc.evaluate(kernel, points, strengths, backend="direct")
@@ -374,7 +376,7 @@ def test_translations_are_the_kernel(kernel):
     x, y = rng.uniform(-1.0, 1.0, (2, 3, 40))
 
     def functions(points, bases, members, channels):
-        p = [operators._polynomials(axis, level.degree) for axis in points]
+        p = [legendre.polynomials(axis, level.degree) for axis in points]
         products = np.einsum("an,bn,cn->abcn", *p).reshape(level.degree**3, -1)
         out = np.zeros((8, level.rank, channels, points.shape[1]))
         for c in range(8):
@@ -386,7 +388,7 @@ def test_translations_are_the_kernel(kernel):
 
     u = functions(x, level.value_bases(float), level.value_members, kernel.value_size)
     v = functions(y, level.source_bases(float), level.source_members, kernel.weight_size)
-    for t, offset in enumerate(operators.OFFSETS):
+    for t, offset in enumerate(OFFSETS):
         used = level.used[t]
         matrix = level.matrices[level.begin[t] : level.begin[t + 1]].reshape(8, -1, used)
         for signs in ((1, 1, 1), (-1, 1, -1)):
@@ -394,7 +396,7 @@ def test_translations_are_the_kernel(kernel):
             expected = operators.tabulate(kernel, half * (shift[:, None] + x - y))
             total = np.zeros_like(expected)
             for p in range(8):
-                for k, q in enumerate(operators.meeting(p, offset)):
+                for k, q in enumerate(meeting(p, offset)):
                     parity = math.prod(s for d, s in enumerate(signs) if (p ^ q) >> d & 1)
                     block = parity * matrix[p, k * used : (k + 1) * used]
                     total += np.einsum("bm,min,bjn->nij", block, u[p, :used], v[q, :used])
@@ -425,12 +427,12 @@ def test_memory_is_foreseen(monkeypatch, tol):
     """What operators would take is known within a factor of 3, and refused if it is too much."""
     points, strengths, _ = random_case(KERNEL, 4000, 12)
     plan = tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points(points)
-    held = sum(level.matrices.nbytes for level in plan._sum._levels.values())
-    sizes = len(plan._sum._levels)
+    held = sum(level.matrices.nbytes for level in plan._sum._operators.levels.values())
+    sizes = len(plan._sum._operators.levels)
 
     def allowed(room):
-        least = held * (1.0 + multipole._BUILDING / sizes) / multipole._MEMORY
-        monkeypatch.setattr(multipole, "memory_limit", lambda: room * least)
+        least = held * (1.0 + sizing._BUILDING / sizes) / sizing._MEMORY
+        monkeypatch.setattr(sizing, "memory_limit", lambda: room * least)
         return tc.Plan(KERNEL, "fmm", tol=tol, leaf_size=30).set_points
 
     allowed(3.0)(points)

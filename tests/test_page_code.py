@@ -39,6 +39,10 @@ SMALLER = {
 }
 
 
+# Code that a page calls the whole of a file with a name.
+FILE = re.compile(r"whole file `([\w.]+)`:\n\n```\w+\n(.*?)^```$", re.M | re.S)
+
+
 def name_of(page):
     return page.relative_to(ROOT).as_posix()
 
@@ -104,7 +108,9 @@ WITH_CODE = [page for page in PAGES if any(programs(page))]
 
 @pytest.mark.parametrize("size", [pytest.param("as it stands", marks=pytest.mark.slow), "smaller"])
 @pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
-def test_code_runs(page, size, run):
+def test_code_runs(page, size, run, tmp_path):
+    for name, code in FILE.findall(page.read_text()):
+        (tmp_path / name).write_text(code)
     for language, code in programs(page):
         run(language, code if size == "as it stands" else smaller(page, code))
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from tests.cases.oracle import BACKENDS, each_backend, each_kernel, each_treecode, random_case
+from tests.cases.oracle import each_backend, each_kernel, each_treecode, random_case
 from tests.cases.rotne_prager import RotnePrager
-from treecode.fmm import multipole
+from treecode.methods import names
+from treecode.methods.fmm import hierarchy
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
 
@@ -29,7 +30,7 @@ def test_second_execute_equals_a_fresh_plan(backend):
     assert np.array_equal(plan.execute(second), fresh.execute(second))
 
 
-@pytest.mark.parametrize("backend", [*BACKENDS, "fmm"])
+@pytest.mark.parametrize("backend", names())
 @each_kernel
 def test_result_does_not_depend_on_threads(kernel, backend):
     points, strengths, _ = random_case(kernel, 3000, 2)
@@ -136,10 +137,20 @@ def test_progress_reaches_the_end(capsys):
         (tc.Choice("nope"), r"\.backend must be one of 'direct', 'kitc', 'taylor', 'fmm'.*'nope'"),
         (tc.Choice("auto"), r"\.backend must be one of"),
         (tc.Choice("kitc"), r"\.theta must be given for backend 'kitc'"),
-        (tc.Choice("kitc", 0.7, 0, 100), r"\.degree must be an integer from 1 to"),
-        (tc.Choice("taylor", 1.7, 3, 100), r"\.theta must be a number between 0 and 1"),
-        (tc.Choice("taylor", 0.7, 3, 0), r"\.leaf_size must be an integer from 1"),
+        (
+            tc.Choice("kitc", theta=0.7, degree=0, leaf_size=100),
+            r"\.degree must be an integer from 1 to",
+        ),
+        (
+            tc.Choice("taylor", theta=1.7, degree=3, leaf_size=100),
+            r"\.theta must be a number between 0 and 1",
+        ),
+        (
+            tc.Choice("taylor", theta=0.7, degree=3, leaf_size=0),
+            r"\.leaf_size must be an integer from 1",
+        ),
         (tc.Choice("direct", precision="half"), r"\.precision must be one of"),
+        (tc.Choice("direct", theta=0.7), r"\.theta must be None with backend 'direct', got 0\.7"),
         (tc.Choice("fmm"), r"\.tol must be given for backend 'fmm'"),
         (tc.Choice("fmm", tol=1e-20), r"\.tol must be a number between 1e-13 and 1"),
         (
@@ -162,13 +173,13 @@ def test_a_choice_that_is_none_is_refused(choice, words):
 
 def test_a_choice_for_another_kernel_is_refused():
     with pytest.raises(TypeError, match=r"taylor.*RotnePrager"):
-        tc.Plan(RotnePrager(0.1, 1.0)).use(tc.Choice("taylor", 0.7, 3, 100))
+        tc.Plan(RotnePrager(0.1, 1.0)).use(tc.Choice("taylor", theta=0.7, degree=3, leaf_size=100))
 
 
 def test_points_are_set_after_a_choice():
     points = clustered(50)
     plan = tc.Plan(KERNEL, "direct").set_points(points)
-    plan.use(tc.Choice("kitc", 0.7, 2, 10))
+    plan.use(tc.Choice("kitc", theta=0.7, degree=2, leaf_size=10))
     with pytest.raises(RuntimeError, match="set_points must be called first"):
         plan.execute(points)
     assert plan.set_points(points).execute(points).shape == (50, 3)
@@ -198,7 +209,7 @@ def test_points_that_fail_are_none(monkeypatch):
         raise MemoryError
 
     with monkeypatch.context() as context:
-        context.setattr(multipole, "get_level", full)
+        context.setattr(hierarchy, "get_level", full)
         with pytest.raises(MemoryError):
             plan.set_points(1e3 * points)
     with pytest.raises(RuntimeError, match="set_points must be called first"):

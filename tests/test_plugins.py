@@ -5,11 +5,12 @@ import shutil
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import mrs
 from mrs.run import cli
 from tests.cases import rod_oracle as oracle
-from tests.plugins import adams_bashforth, crossing, gravity, weights, xyz
+from tests.plugins import adams_bashforth, crossing, gravity, symmetry_plane, weights, xyz
 
 EPSILON, VISCOSITY, FORCE = 0.1, 2.0, 3.0
 SPEED = FORCE / (4.0 * np.pi * VISCOSITY * EPSILON)  # of one blob: H1(0) = 1 / (4 pi epsilon)
@@ -109,6 +110,63 @@ def test_an_interrupt():
     np.testing.assert_allclose(note.times, [0.21, 0.6])
 
 
+def bodies_above(mirrored=False):
+    """Return a rod that bends and twists, a swimmer and a tracer; or their mirror images."""
+    sign = symmetry_plane.MIRROR if mirrored else np.ones(3)
+    rod = mrs.geometry.straight(1.0, 7, origin=[0.0, 0.0, 0.4], direction=[1.0, 0.0, 0.5])
+    quaternions = rod.quaternions
+    if mirrored:  # a mirror image of right-handed axes is left-handed: D2 changes its sign
+        axes = mrs.rotations.axes(quaternions) * sign * np.array([[1.0], [-1.0], [1.0]])
+        quaternions = Rotation.from_matrix(axes.transpose(0, 2, 1)).as_quat()
+    turned = np.array([-1.0, 1.0, -1.0]) if mirrored else 1.0  # of strains, about these axes
+    name = "mirrored_" if mirrored else ""
+    return [
+        mrs.Rods(
+            rod._replace(nodes=rod.nodes * sign, quaternions=quaternions),
+            bending=1.0, twisting=0.7, shearing=20.0, stretching=20.0, epsilon=0.15,
+            intrinsic_curvature=np.array([1.0, 0.4, 0.8]) * turned, name=name + "rod",
+        ),
+        mrs.Swimmers(
+            [[0.4, 0.8, 0.5] * sign], [[0.3, 0.2, 1.0] * sign], length=0.4, force=1.0,
+            epsilon=0.1, name=name + "swimmer",
+        ),
+        mrs.Tracers([[0.2, 0.3, 0.3] * sign], name=name + "tracer"),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("backend", "error"), [("direct", 1e-12), (mrs.Backend("auto", tolerance=1e-6), 1e-5)]
+)
+def test_a_boundary(backend, error):
+    """Bodies over the plane move as they do beside their mirror images, and nothing crosses it."""
+    fluid = mrs.Fluid(VISCOSITY, boundary=symmetry_plane.SymmetryPlane())
+    over = mrs.Simulation(fluid, bodies_above(), backend=backend)
+    both = [*bodies_above(), *bodies_above(mirrored=True)]
+    beside = mrs.Simulation(mrs.Fluid(VISCOSITY), both, backend="direct")
+    size = np.linalg.norm(over.now.motion[:, :3], axis=1).max()
+    count = len(over.now.points)
+    np.testing.assert_allclose(over.now.motion, beside.now.motion[:count], atol=error * size)
+    on_plane = np.random.default_rng(0).random((50, 3)) * [2.0, 2.0, 0.0]
+    assert np.abs(over.velocity(on_plane)[:, 2]).max() < 1e-12 * size
+    assert np.abs(beside.velocity(on_plane)[:, 2]).max() < 1e-12 * size
+    assert np.abs(over.velocity(on_plane)[:, :2]).max() > 1e-3 * size
+    assert over.mobility.sampled_error(over.now.points, over.now.loads) < 1e-5
+
+
+def test_files_do_not_hold_a_boundary(tmp_path):
+    plane = symmetry_plane.SymmetryPlane()
+    fluid = mrs.Fluid(VISCOSITY, boundary=plane)
+    sim = mrs.Simulation(fluid, bodies_above(), output=mrs.Output(tmp_path, 0.1)).run(1e-3)
+    points = np.random.default_rng(0).random((20, 3))
+    with pytest.raises(ValueError, match="boundary must be given: the run had a SymmetryPlane"):
+        mrs.frame_velocity(tmp_path)[1](points)
+    _, velocity = mrs.frame_velocity(tmp_path, boundary=plane)
+    exact = sim.velocity(points)
+    np.testing.assert_allclose(velocity(points), exact, atol=1e-4 * np.abs(exact).max())
+    with pytest.raises(TypeError, match=r"boundary must be a treecode\.Boundary, got 'wall'"):
+        mrs.Fluid(boundary="wall")
+
+
 def test_all_of_them_from_toml(tmp_path, capsys):
     """By name, in a run that is stopped and goes on from its own files."""
     plugins = tmp_path / "mine"
@@ -180,3 +238,53 @@ def test_columns_of_the_log(tmp_path):
 def test_names_that_cannot_be_registered(name, message):
     with pytest.raises(ValueError, match=message):
         mrs.BODIES.register(type("Other", (mrs.Body,), {"kind": name}))
+
+
+@pytest.mark.parametrize(
+    ("method", "value", "message"),
+    [
+        ("loads", (np.zeros(3), None), r"forces of loads of 'weights' must have shape \(1, 3\)"),
+        ("loads", (np.zeros((1, 3)), np.zeros(3)), "torques of loads of 'weights' must have"),
+        ("rates", (np.zeros(3), np.empty((0, 3))), "velocities of rates of 'weights' must have"),
+        ("rates", (np.zeros((1, 3)), np.empty(0)), r"angular velocities .* got shape \(0,\)"),
+    ],
+)
+def test_arrays_of_a_body_have_their_shapes(method, value, message):
+    """One that numpy would stretch is refused."""
+    body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
+    setattr(body, method, lambda *_: value)
+    with pytest.raises(ValueError, match=message):
+        assert mrs.Simulation(mrs.Fluid(), [body]).now
+
+
+def test_what_a_force_gives_is_checked():
+    class Wrong(mrs.Force):
+        kind = "wrong"
+
+        def __init__(self, value):
+            self.value = value
+
+        def forces(self, time, points, layout):
+            return self.value
+
+    with pytest.raises(
+        mrs.SimulationError, match=r"force 'wrong' must give shape \(3,\) or \(1, 3\)"
+    ):
+        scene([Wrong(np.zeros((2, 3)))]).run(0.1)
+    with pytest.raises(
+        mrs.SimulationError, match=r"force 'wrong' .* finite .* at node 0 of 'weights'"
+    ):
+        scene([Wrong(np.full(3, np.nan))]).run(0.1)
+    with pytest.raises(TypeError, match=r"forces\[0\] must be mrs\.Force"):
+        scene([np.zeros(3)])
+    body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
+    body.positions = np.zeros(3)
+    with pytest.raises(ValueError, match=r"positions of 'weights' must have shape \(3, 3\), got"):
+        mrs.Simulation(mrs.Fluid(), [body])
+
+
+def test_formats_and_columns_that_are_refused():
+    with pytest.raises(ValueError, match="formats must be different ones"):
+        mrs.Output("run", 0.1, formats=["pvd", "pvd"])
+    with pytest.raises(TypeError, match="columns must be a dict of functions by name"):
+        mrs.Output("run", 0.1, columns=["x"])

@@ -13,6 +13,8 @@ from tests.cases.oracle import (
     random_case,
     with_epsilon,
 )
+from treecode.choice.probe import Probe
+from treecode.choice.search import Search
 
 SINGLE = 2.0**-24
 OPTIONS = {"theta": 0.6, "degree": 6, "leaf_size": 100}
@@ -98,17 +100,17 @@ def choice_for(tol, points, strengths, backend="kitc", kernel=KERNELS[0]):
 @pytest.mark.parametrize("backend", BACKENDS[1:])
 def test_is_what_the_tolerance_allows(backend):
     points, strengths, _ = random_case(KERNELS[0], 4000, 5)
-    assert choice_for(1e-3, points, strengths, backend).precision == "float32"
-    assert choice_for(1e-8, points, strengths, backend).precision == "float64"
+    assert choice_for(1e-3, points, strengths, backend).parameters["precision"] == "float32"
+    assert choice_for(1e-8, points, strengths, backend).parameters["precision"] == "float64"
 
 
 def test_cancellation_needs_doubles():
     """Pairs that push against each other leave a thousandth of what each does."""
     points, strengths, _ = random_case(KERNELS[0], 4000, 6)
     points[2000:] = points[:2000] + 1e-4
-    assert choice_for(1e-4, points, strengths).precision == "float32"
+    assert choice_for(1e-4, points, strengths).parameters["precision"] == "float32"
     strengths[2000:] = -strengths[:2000]
-    assert choice_for(1e-4, points, strengths).precision == "float64"
+    assert choice_for(1e-4, points, strengths).parameters["precision"] == "float64"
 
 
 @pytest.mark.parametrize("unit", [1e-30, 1e30])
@@ -117,25 +119,24 @@ def test_beyond_the_range_of_singles(kernel, unit):
     points, strengths, _ = random_case(kernel, 1500, 7)
     kernel = with_epsilon(kernel, 0.1 * unit)
     choice = choice_for(1e-2, unit * points, strengths, "auto", kernel)
-    assert choice.precision in ("float64", None)
+    assert choice.parameters.get("precision") in ("float64", None)
 
 
 @pytest.mark.parametrize(("seen", "tol"), [(1e-3, 3e-8), (0.0, 1e-7)])
 def test_a_miss_is_corrected(monkeypatch, seen, tol):
     """Where the look at a few targets sees little or none of the rounding, the sample finds it."""
     points, strengths, _ = random_case(KERNELS[0], 4000, 8)
-    look = tc.auto._Case._error_of
+    look = Probe.error_of
 
     def blind(case, choice, *args):
-        return (seen if choice.precision == "float32" else 1.0) * look(case, choice, *args)
+        single = choice.parameters.get("precision") == "float32"
+        return (seen if single else 1.0) * look(case, choice, *args)
 
     bounds = []
-    bound = tc.auto.Search.bound
-    monkeypatch.setattr(tc.auto._Case, "_error_of", blind)
-    monkeypatch.setattr(
-        tc.auto.Search, "bound", lambda *args: bounds.append(bound(*args)) or bounds[-1]
-    )
-    assert choice_for(tol, points, strengths).precision == "float64"
+    bound = Search.bound
+    monkeypatch.setattr(Probe, "error_of", blind)
+    monkeypatch.setattr(Search, "bound", lambda *args: bounds.append(bound(*args)) or bounds[-1])
+    assert choice_for(tol, points, strengths).parameters["precision"] == "float64"
     assert bounds[0] > tol
 
 

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import mrs
 import treecode as tc
 from mrs.fluid.mobility import Mobility
-from treecode.fmm import multipole
+from treecode.methods.fmm.blas import blas_of_one_thread
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.02)
 WAYS = {
@@ -112,7 +112,7 @@ def test_blas_gets_its_threads_back():
     """Whoever of two sums ends last: the number is that of the process."""
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
-        first, second = (multipole._blas_of_one_thread for _ in range(2))
+        first, second = (blas_of_one_thread for _ in range(2))
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)

@@ -9,8 +9,11 @@ import treecode as tc
 from tests.cases import oracle
 from tests.cases.rotne_prager import RotnePrager
 from tests.cases.tolerance import SETS, Case, achieved, solve, strengths_of
-from treecode import auto
 from treecode.accuracy import Parts
+from treecode.choice import search
+from treecode.choice.search import Search
+from treecode.methods import get
+from treecode.methods.treecode import Treecode
 
 # --- auto -----------------------------------------------------------------------------------------
 
@@ -18,7 +21,7 @@ from treecode.accuracy import Parts
 @pytest.mark.parametrize("seed", range(24))
 def test_reaches_what_is_asked(monkeypatch, seed):
     """Random sums done once; benchmarks/tolerance.py has more and larger ones, done by plans."""
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     case = Case.draw(seed, 4000)
     kernel, points, strengths = case.make()
     values = tc.evaluate(kernel, points, strengths, tol=case.tol)
@@ -48,11 +51,9 @@ def random_sum(n, kernel=KERNEL, points="cube", strengths="random", seed=0):
 def test_a_miss_is_corrected(monkeypatch):
     """Where the model expects a hundredth of the error, the sample finds out."""
     points, q = random_sum(4000)
-    bounds, bound, expected = [], auto.Search.bound, auto.Model.error
-    monkeypatch.setattr(auto.Model, "error", lambda *args: 0.01 * expected(*args))
-    monkeypatch.setattr(
-        auto.Search, "bound", lambda *args: bounds.append(bound(*args)) or bounds[-1]
-    )
+    bounds, bound, expected = [], Search.bound, Treecode.cut_off
+    monkeypatch.setattr(Treecode, "cut_off", lambda *args: 0.01 * expected(*args))
+    monkeypatch.setattr(Search, "bound", lambda *args: bounds.append(bound(*args)) or bounds[-1])
     values = tc.evaluate(KERNEL, points, q, backend="kitc", tol=1e-4)
     assert bounds[0] > 1e-4 >= bounds[-1]
     assert achieved(KERNEL, points, q, values) <= 1e-4
@@ -61,13 +62,13 @@ def test_a_miss_is_corrected(monkeypatch):
 def test_room_is_used(monkeypatch):
     """Where the model expects ten times the error, a plan finds what it would have chosen."""
     points, q = random_sum(4000)
-    expected = auto.Model.error
+    expected = Treecode.cut_off
 
     def chosen(times, sums):
-        monkeypatch.setattr(auto.Model, "error", lambda *args: times * expected(*args))
-        search = auto.Search(KERNEL, ("kitc",), 1e-4, leaf_size=100, sums=sums)
+        monkeypatch.setattr(Treecode, "cut_off", lambda *args: times * expected(*args))
+        find = Search(KERNEL, (get("kitc"),), 1e-4, {"leaf_size": 100}, sums=sums)
         parts = Parts.of(KERNEL, len(points), None)
-        choice, _, values = search(points.T.copy(), None, q, parts)
+        choice, _, values = find(points.T.copy(), None, q, parts)
         assert achieved(KERNEL, points, q, values) <= 1e-4
         return choice
 
@@ -78,8 +79,8 @@ def test_room_is_used(monkeypatch):
 def test_what_samples_overlook_shows_at_all_targets(monkeypatch):
     """A plan whose samples see no error tries cheaper sums, and compares them with the first."""
     points, q = random_sum(4000)
-    tried, bound = [], auto.Search.bound
-    monkeypatch.setattr(auto.Search, "bound", lambda *args: tried.append(bound(*args)) or 0.0)
+    tried, bound = [], Search.bound
+    monkeypatch.setattr(Search, "bound", lambda *args: tried.append(bound(*args)) or 0.0)
     plan = tc.Plan(KERNEL, "kitc", leaf_size=100, tol=1e-4).set_points(points)
     assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-4 < max(tried)
 
@@ -88,7 +89,7 @@ def test_what_samples_overlook_shows_at_all_targets(monkeypatch):
 @pytest.mark.parametrize("backend", ["auto", "kitc", "taylor"])
 def test_small_enough_to_interpret(monkeypatch, backend):
     """The search, on as few points as are otherwise summed directly; a miss, and its correction."""
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     points, q = random_sum(150)
     plan = tc.Plan(KERNEL, backend, tol=1e-2).set_points(points)
     assert achieved(KERNEL, points, q, plan.execute(q)) <= 1e-2
@@ -214,7 +215,7 @@ def test_units_apart():
 
 def test_kernel_of_a_user(monkeypatch):
     """Without Taylor expansions and a model of its own."""
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     kernel = RotnePrager(radius=0.01, viscosity=1.0)
     points, q = random_sum(4000, kernel)
     exact = tc.evaluate(kernel, points, q, backend="direct")
@@ -222,7 +223,7 @@ def test_kernel_of_a_user(monkeypatch):
 
 
 def test_targets_apart(monkeypatch):
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     points, q = random_sum(4000)
     targets = 1.5 * np.random.default_rng(1).random((1000, 3))
     values = tc.evaluate(KERNEL, points, q, targets, tol=1e-3)

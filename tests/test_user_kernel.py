@@ -9,7 +9,7 @@ import pytest
 import treecode as tc
 from tests.cases import rotne_prager
 from tests.cases.rotne_prager import RotnePrager
-from treecode import auto
+from treecode.choice import search
 
 RADIUS, VISCOSITY = 0.07, 1.3
 KERNEL = RotnePrager(RADIUS, VISCOSITY)
@@ -110,7 +110,7 @@ class TwoUnits(RotnePrager):
 
 
 def test_each_unit_of_a_user_kernel_keeps_the_tolerance(monkeypatch):
-    monkeypatch.setattr(auto, "FEW", 0)
+    monkeypatch.setattr(search, "FEW", 0)
     rng = np.random.default_rng(4)
     points, forces = rng.random((3000, 3)), rng.standard_normal((3000, 3))
     kernel = TwoUnits(0.01, 1.0)

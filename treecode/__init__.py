@@ -3,7 +3,8 @@
 from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
-from treecode.auto import CancellationError, Choice, ToleranceError
+from treecode.boundary import Boundary, FreeSpace, Term
+from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.kernels import (
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
@@ -12,21 +13,30 @@ from treecode.kernels import (
 )
 from treecode.kernels.base import Kernel
 from treecode.locks import Lock
-from treecode.plan import Plan, evaluate, relative_error
+from treecode.methods.base import Method
+from treecode.methods.direct import EXACT
+from treecode.methods.registry import Choice
+from treecode.plan import Plan, backends, evaluate, relative_error
 from treecode.version import __version__
 
 __all__ = [
+    "EXACT",
+    "Boundary",
     "CancellationError",
     "Choice",
+    "FreeSpace",
     "Kernel",
     "Lock",
+    "Method",
     "Plan",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",
     "Stokeslet",
     "StokesletStresslet",
+    "Term",
     "ToleranceError",
     "__version__",
+    "backends",
     "cache",
     "erf",
     "evaluate",

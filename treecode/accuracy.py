@@ -104,7 +104,7 @@ class Parts(NamedTuple):
         return rows[np.argsort(turn, kind="stable")]
 
     def seem_within(
-        self, tolerance: float, values: np.ndarray, exact: np.ndarray, rows: np.ndarray
+        self, tol: float, values: np.ndarray, exact: np.ndarray, rows: np.ndarray
     ) -> bool:
         """Tell from exact values at watched targets whether a tolerance may be kept.
 
@@ -124,7 +124,7 @@ class Parts(NamedTuple):
         )
         error = more * (self.add_up(squares, rows) - worst) * (drawn >= _FEWEST)
         norm = self.squares(values if peak == 1.0 else values / peak)
-        return not (error > tolerance**2 * norm).any()
+        return not (error > tol**2 * norm).any()
 
     def sampled_error(
         self,

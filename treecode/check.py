@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -32,10 +33,10 @@ def positive(name: str, value: Any) -> float:
     return number(name, value, SMALLEST_PARAMETER, LARGEST_PARAMETER)
 
 
-def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
+def kernel(value: Any, backend: str, members: tuple[str, ...], others: list[str]) -> Any:
     """Return `value` if it is a named tuple with the members that the backend needs.
 
-    `value_lengths` must be as many numbers as values.
+    `value_lengths` must be as many numbers as values. `others` are backends for any kernel.
     """
     missing = [name for name in members if not hasattr(value, name)]
     if isinstance(value, type) or not isinstance(value, tuple):
@@ -46,10 +47,14 @@ def kernel(value: Any, backend: str, members: tuple[str, ...]) -> Any:
     if missing:
         raise TypeError(
             f"kernel must have {', '.join(missing)} for backend {backend!r}, got {value!r}; "
-            "'kitc' and 'direct' work with any treecode.Kernel"
+            f"{' and '.join(map(repr, others))} work with any treecode.Kernel"
         )
     lengths, size = getattr(value, "value_lengths", None), getattr(value, "value_size", 0)
-    if not isinstance(lengths, tuple) or len(lengths) != size:
+    if not (
+        isinstance(lengths, tuple)
+        and len(lengths) == size
+        and all(isinstance(length, Real) for length in lengths)
+    ):
         raise TypeError(
             f"kernel must have value_lengths, a tuple of {size} numbers that are equal for values "
             "of one unit, as (1, 1, 1) for velocities or (1, 1, 1, 2, 2, 2) for velocities and "

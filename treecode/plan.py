@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from treecode import auto, check
+from treecode import check
 from treecode._jit import require_unchanged
 from treecode.accuracy import Parts
-from treecode.backends.walk import PRECISIONS, Walk
-from treecode.fmm import multipole
-from treecode.fmm.operators import MAX_DEGREE
-from treecode.kernels.base import MEMBERS, Kernel, require_counts
+from treecode.choice.sampling import WATCHED, in_given_order, sampled_error, seems_kept
+from treecode.choice.search import Search
+from treecode.kernels.base import Kernel, require_counts
 from treecode.locks import Lock, one_at_a_time
+from treecode.methods import registry
+from treecode.methods.base import KEYWORDS, Sum
+from treecode.methods.direct import EXACT
+from treecode.methods.registry import AUTO, Choice
 from treecode.threads import thread_count
 
-BACKENDS = ("auto", *auto.WALKS, "fmm")
-_DEGREES = {name: (module.MIN_DEGREE, 40) for name, module in auto.WALKS.items()}
-_DEGREES["fmm"] = multipole.MIN_DEGREE, MAX_DEGREE
-_TOLERANCE = 1e-5
-_OPTIONS = "backend", "theta", "degree", "leaf_size", "precision", "tol", "progress"
-_Number = TypeVar("_Number", int, float)
+_OPTIONS = ("backend", *KEYWORDS, "progress")
+
+
+def backends() -> tuple[str, ...]:
+    """Return all that `backend` of a plan may be: "auto", and the names of the methods."""
+    return AUTO, *registry.names()
 
 
 class Plan:
@@ -33,32 +36,34 @@ class Plan:
     ----------
     kernel : Kernel
         For example ``RegularizedStokeslet(epsilon=0.02)``.
-    backend : {"auto", "direct", "kitc", "taylor", "fmm"}, optional
-        Direct summation, kernel-independent treecode, Taylor treecode, fast multipole method; or
-        "auto", what should be the fastest of these for `tol`.
+    backend : str, optional
+        One of `treecode.backends()`: the name of a method (direct summation, kernel-independent
+        treecode, Taylor treecode, fast multipole method, or one that was registered), or "auto",
+        what should be the fastest of these for `tol`.
     theta : float, optional
         For treecodes: a cluster of radius r is far from a target at distance R of its centre if
         ``r / R <= theta`` (K eq. 6.1, T eq. 32). Between 0 and 1; smaller is more accurate. By
         default 0.7, or what suits `tol`.
     degree : int, optional
-        Degree n of the interpolation ("kitc") or order p of the expansion ("taylor"), by default
-        7, or what `tol` asks for; polynomials in each direction ("fmm"), by default as many as
-        `tol` asks for.
+        Degree n of the interpolation or order p of the Taylor expansion, by default 7, or what
+        `tol` asks for; of the fast multipole method the polynomials in each direction, by default
+        as many as `tol` asks for.
     leaf_size : int, optional
         Most points in a leaf of the tree, N0 in the papers: 2000 by default, or what suits `tol`;
-        for "fmm" what balances its two halves.
+        for the fast multipole method what balances its two halves.
     precision : {"float64", "float32"}, optional
-        Of the arithmetic with points and proxies for "direct", "kitc" and "taylor" (not of its
+        Of the arithmetic with points and proxies in direct sums and treecodes (not of Taylor
         expansions): float64 by default, or what suits `tol`. float32 is up to twice as fast;
         distances are rounded to 1e-7 of the cluster they are in, and third powers of inverse
         lengths, times strengths, must be within 1e38.
     tol : float, optional
         Relative error in the Euclidean norm, K eq. (8.1), over the targets of each group, for
-        values of each unit (velocities, angular velocities) apart; 1e-5 by default for "auto" and
-        "fmm", between 1e-13 and 1. The sum is chosen at the first `execute`, which samples its
-        error, and stays for as many points and any strengths as long as a few targets, at which
-        every longer `execute` looks, show no larger error; or until `refine` samples it again.
-        "fmm" by name with a `degree` only aims at it.
+        values of each unit (velocities, angular velocities) apart; between 1e-13 and 1, by default
+        1e-5 for "auto" and the fast multipole method. The sum is chosen at the first `execute`,
+        which samples its error, and stays for as many points and any strengths as long as a few
+        targets, at which every longer `execute` looks, show no larger error; or until `refine`
+        samples it again.
+        The fast multipole method by name with a `degree` only aims at it.
     progress : bool, optional
         Show a progress bar while summing.
 
@@ -71,8 +76,9 @@ class Plan:
     -----
     The sums use as many threads as ``numba.get_num_threads()``, and do not depend on how many.
     A plan may be used by several threads, one at a time: others wait. It can be copied and pickled.
-    "direct" takes none of `theta`, `degree`, `leaf_size` and `tol` into account, and "auto" chooses
-    all but the last itself.
+    A method looks at the parameters that it declares (`treecode.methods.parameters`): direct
+    summation takes none of `theta`, `degree`, `leaf_size` and `tol` into account, and "auto"
+    chooses all but the last itself.
 
     Examples
     --------
@@ -94,58 +100,63 @@ class Plan:
         tol: float | None = None,
         progress: bool = False,
     ) -> None:
-        self.backend = check.one_of("backend", backend, BACKENDS)
-        self.kernel = check.kernel(kernel, backend, _members(backend))
+        self.backend = check.one_of("backend", backend, backends())
+        self.kernel = registry.require_kernel(kernel, backend)
         require_counts(kernel)
         require_unchanged(type(kernel))
-        theta, degree, leaf_size, precision, tol = _check_options(
-            "", backend, theta, degree, leaf_size, precision, tol
-        )
         self.lock = Lock()
         self._progress = progress
-        self._search: auto.Search | None = None
-        self._first: auto.Choice | None = None  # of a search, where it does not look for it
-        self._sum: Walk | multipole.Multipole | None = None
-        self._choice: auto.Choice | None = None
+        self._search: Search | None = None
+        self._first: Choice | None = None  # where a search does not begin with offers
+        self._choice: Choice | None = None
+        self._sum: Sum | None = None
         self._parts: Parts | None = None
         self._counts, self._groups = (0, 0), None
         self._unsorted: tuple[np.ndarray, np.ndarray | None] | None = None
         self._points_set = False
-        if backend == "auto":
-            chosen = {"theta": theta, "degree": degree, "leaf_size": leaf_size}
-            check.absent("with backend 'auto', which chooses it", **chosen, precision=precision)
-            backends = auto.able(kernel)
-            self._search = auto.Search(kernel, backends, _or(tol, _TOLERANCE), progress=progress)
-        elif backend == "fmm":
-            check.absent("with backend 'fmm', where tol decides", precision=precision)
-            aim = auto.Choice("fmm", None, degree, leaf_size, tol=_or(tol, _TOLERANCE))
-            if degree is None:
-                self._search = auto.Search(
-                    kernel, ("fmm",), _or(tol, _TOLERANCE), None, leaf_size, progress
-                )
-                self._first, self._sum = aim, aim.sum(kernel, progress)
-            else:
-                self.use(aim)
-        elif backend in auto.DEGREES and tol is not None:
-            check.absent("with tol, which chooses it", degree=degree, precision=precision)
-            self._search = auto.Search(kernel, (backend,), tol, theta, leaf_size, progress)
-        else:
-            options = _or(theta, 0.7), _or(degree, 7), _or(leaf_size, 2000)
-            self.use(auto.Choice(backend, *options, precision or "float64"))
+        keywords = {
+            "theta": theta,
+            "degree": degree,
+            "leaf_size": leaf_size,
+            "precision": precision,
+            "tol": tol,
+        }
+        self._begin(_checked_keywords(backend, keywords))
+
+    def _begin(self, given: dict[str, Any]) -> None:
+        """Make the sum that is given, or prepare the search for one."""
+        tol = given.get("tol", KEYWORDS["tol"].default)
+        if self.backend == AUTO:
+            chosen = {name: given.get(name) for name in KEYWORDS if name != "tol"}
+            check.absent(f"with backend {AUTO!r}, which chooses it", **chosen)
+            methods = registry.able(self.kernel)
+            self._search = Search(self.kernel, methods, tol, progress=self._progress)
+            return
+        method = registry.get(self.backend)
+        method.refuse(given)
+        first = method.first(given)
+        if method.seeks(given):
+            given = {**given, "tol": tol}
+            self._search = Search(self.kernel, (method,), tol, given, self._progress)
+        if first is not None:
+            registry.require_complete(method, first)
+            self._first = Choice(method.name, **first)
+            self._sum = self._first.sum(self.kernel, self._progress)
+            self._choice = None if self._search else self._first
 
     def __copy__(self) -> Plan:
         """Return a plan that shares nothing: points of one are not those of the other."""
         return copy.deepcopy(self)
 
     @property
-    def choice(self) -> auto.Choice | None:
+    def choice(self) -> Choice | None:
         """What sums; None until `tol` has been met for some strengths."""
-        if self._choice and isinstance(self._sum, multipole.Multipole):
-            return self._choice._replace(width=self._sum.width)
-        return self._choice
+        if self._choice is None or self._sum is None:
+            return None
+        return Choice(self._choice.backend, **self._sum.parameters)
 
     @one_at_a_time
-    def use(self, choice: auto.Choice) -> None:
+    def use(self, choice: Choice) -> None:
         """Sum by an earlier `choice` from the next `set_points` on.
 
         Raises
@@ -153,8 +164,7 @@ class Plan:
         ValueError, TypeError
             If it is not a choice, or not one for this kernel.
         """
-        _check_choice(self.kernel, choice)
-        self._choice = choice
+        self._choice = registry.require_choice(choice, self.kernel)
         self._sum = choice.sum(self.kernel, self._progress)
         self._parts, self._points_set = None, False
 
@@ -180,8 +190,8 @@ class Plan:
         ------
         ValueError, TypeError
             If an array has a wrong shape or type, has masked entries, is not finite, or is beyond
-            1e60: the plan keeps the points it had. If "fmm" by name does not take the kernel, or
-            its operators do not fit in memory: the plan has no points.
+            1e60: the plan keeps the points it had. If a method by name does not take the kernel,
+            or what it builds does not fit in memory: the plan has no points.
         """
         sources = check.points("sources", sources)
         targets = None if targets is None else check.points("targets", targets)
@@ -191,10 +201,10 @@ class Plan:
         if self._parts is None or not self._same(counts, groups):
             if self._search and self._parts:
                 self._choice = None
-                self._sum = self._first and self._first.sum(self.kernel, self._progress)
+                self._sum = self._first.sum(self.kernel, self._progress) if self._first else None
             self._counts, self._groups = counts, groups
             self._parts = Parts.of(self.kernel, counts[1], groups)
-            self._watched = self._parts.watch(auto.WATCHED)
+            self._watched = self._parts.watch(WATCHED)
         self._at_watched = (sources if targets is None else targets)[self._watched].T
         columns = _columns(sources), None if targets is None else _columns(targets)
         if self._sum:
@@ -242,9 +252,8 @@ class Plan:
             return np.zeros((len(parts.groups), self.kernel.value_size))  # nothing to choose by
         if self._sum is None:
             return self._choose(self._search, strengths)
-        values, weights = self._sum.run(strengths)
-        check.finite("the sum", values)
-        if self._search and not self._seems_kept(self._search, strengths, weights, values, parts):
+        values = check.finite("the sum", self._sum.execute(strengths))
+        if self._search and not self._seems_kept(self._search, strengths, values, parts):
             return self._choose(self._search, strengths)
         return values
 
@@ -270,41 +279,41 @@ class Plan:
         if not (search and self._sum and strengths.any() and len(parts.groups)):
             return False
         if tol is not None:
-            search = replace(search, tolerance=check.number("tol", tol, 1e-13, 1.0))
+            search = replace(search, tol=KEYWORDS["tol"].check("tol", tol))
         if values is None:
             values = self._sum.execute(strengths)
-        if search.bound(self._sum, strengths, values, parts) <= search.tolerance:
+        if search.bound(self._sum, strengths, values, parts) <= search.tol:
             self._choice = self._choice or self._first
             return False
         self._choose(search, strengths)
         return True
 
     def _seems_kept(
-        self,
-        search: auto.Search,
-        strengths: np.ndarray,
-        weights: np.ndarray,
-        values: np.ndarray,
-        parts: Parts,
+        self, search: Search, strengths: np.ndarray, values: np.ndarray, parts: Parts
     ) -> bool:
         """Tell from a few targets, and in doubt from a sample, whether `tol` is kept."""
         assert self._sum is not None
         if self._choice is None:  # never sampled
             if not (strengths.any() and len(parts.groups)):
                 return True
-        elif auto.is_exact(self._choice) or search.seems_kept(
-            self._sum, weights, values, parts, self._watched, self._at_watched
-        ):
+        elif self._choice == EXACT:
             return True
-        if search.bound(self._sum, strengths, values, parts) > search.tolerance:
+        else:
+            watched = self._watched, self._at_watched
+            if seems_kept(self.kernel, self._sum, search.tol, strengths, values, parts, *watched):
+                return True
+        if search.bound(self._sum, strengths, values, parts) > search.tol:
             return False
         self._choice = self._choice or self._first
         return True
 
-    def _choose(self, search: auto.Search | None, strengths: np.ndarray) -> np.ndarray:
+    def _choose(self, search: Search | None, strengths: np.ndarray) -> np.ndarray:
         assert search is not None
         assert self._parts is not None
-        points = self._unsorted or _unsorted(self._sum)
+        points = self._unsorted
+        if points is None:
+            assert self._sum is not None
+            points = in_given_order(self._sum)
         self._choice, self._sum, values = search(*points, strengths, self._parts)
         self._unsorted = None
         return check.finite("the sum", values)
@@ -313,21 +322,21 @@ class Plan:
     def info(self) -> dict[str, Any]:
         """Return what was done: parameters, tree, pair counts, bytes and seconds by stage.
 
-        `near_pairs` (target and source) and `far_pairs` (target and term of an expansion; for
-        "fmm" cube and translation) are those of the last `execute`, None before it. `bytes` is
-        what the plan holds between calls.
+        `near_pairs` (target and source) and `far_pairs` (target and term of an expansion; in the
+        fast multipole method cube and translation) are those of the last `execute`, None before it.
+        `bytes` is what the plan holds between calls.
         """
         self._require_points()
         sources, targets = self._counts
-        done = {"near_pairs": None, "far_pairs": None} if self._sum is None else self._sum.info()
+        of_sum = {"near_pairs": None, "far_pairs": None} if self._sum is None else self._sum.info()
         return {
             "kernel": self.kernel,
             "backend": self._choice.backend if self._choice else self.backend,
             "threads": thread_count(),
             "sources": sources,
             "targets": targets,
-            **done,
-            **({"tol": self._search.tolerance} if self._search else {}),
+            **of_sum,
+            **({"tol": self._search.tol} if self._search else {}),
             "seconds": dict(self._sum.seconds) if self._sum else {},
         }
 
@@ -354,7 +363,7 @@ class Plan:
         values = self.execute(strengths)
         if self._sum is None:
             return 0.0
-        error = auto.sampled_error(self.kernel, self._sum, strengths, values, parts, samples, seed)
+        error = sampled_error(self.kernel, self._sum, strengths, values, parts, samples, seed)
         return error.by_unit if by_unit else error.norm
 
     def _checked(self, strengths: Any) -> tuple[np.ndarray, Parts]:
@@ -368,62 +377,16 @@ class Plan:
         return self._parts
 
 
-def _unsorted(
-    done: Walk | multipole.Multipole | None,
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the points of a sum, (3, N) and (3, M), in the order in which they were set."""
-    assert done is not None
-    sources, targets = np.empty_like(done.sources), np.empty_like(done.targets)
-    sources[:, done.source_order] = done.sources
-    targets[:, done.target_order] = done.targets
-    return sources, None if done.targets is done.sources else targets
-
-
-def _members(backend: str) -> tuple[str, ...]:
-    """Return what a kernel must have for a backend."""
-    return auto.WALKS[backend].KERNEL_MEMBERS if backend in auto.WALKS else MEMBERS
-
-
-def _check_options(
-    prefix: str, backend: str, theta: Any, degree: Any, leaf_size: Any, precision: Any, tol: Any
-) -> tuple[Any, ...]:
-    """Return parameters, all but the first two, as numbers in their range; None is not given."""
-    if theta is not None:
-        theta = check.number(f"{prefix}theta", theta, 0.0, 1.0)
-    if degree is not None:
-        degrees = _DEGREES.get(backend, _DEGREES["kitc"])
-        degree = check.integer(f"{prefix}degree", degree, *degrees)
-    if leaf_size is not None:
-        leaf_size = check.integer(f"{prefix}leaf_size", leaf_size, 1)
-    if precision is not None:
-        check.one_of(f"{prefix}precision", precision, PRECISIONS)
-    if tol is not None:
-        tol = check.number(f"{prefix}tol", tol, 1e-13, 1.0)
-    return theta, degree, leaf_size, precision, tol
-
-
-def _check_choice(kernel: Kernel, choice: Any) -> None:
-    """Refuse what is not a choice, lacks a parameter, or is not for a kernel."""
-    if not isinstance(choice, auto.Choice):
-        raise TypeError(f"choice must be a treecode.Choice, such as Plan.choice, got {choice!r}")
-    backend = check.one_of("choice.backend", choice.backend, BACKENDS[1:])
-    check.kernel(kernel, backend, _members(backend))
-    needed = {"fmm": ("tol",), "direct": ()}.get(backend, ("theta", "degree", "leaf_size"))
-    for name in needed:
-        if getattr(choice, name) is None:
-            raise ValueError(f"choice.{name} must be given for backend {backend!r}, got {choice!r}")
-    _check_options("choice.", *choice[:-1])
-    if choice.width is not None:
-        check.number("choice.width", choice.width, 0.0, np.inf, low_inclusive=True)
+def _checked_keywords(backend: str, keywords: dict[str, Any]) -> dict[str, Any]:
+    """Return the keywords that are given, in the ranges that the method declares."""
+    declared = {**KEYWORDS, **registry.parameters(backend)}
+    given = {name: value for name, value in keywords.items() if value is not None}
+    return {name: declared[name].check(name, value) for name, value in given.items()}
 
 
 def _columns(points: np.ndarray) -> np.ndarray:
     """Return a copy by coordinates, (3, N): the sums sort it."""
     return np.array(points.T, order="C")
-
-
-def _or(value: _Number | None, default: _Number) -> _Number:
-    return default if value is None else value
 
 
 def evaluate(

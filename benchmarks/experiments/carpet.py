@@ -15,6 +15,7 @@ import numba
 
 import mrs
 from benchmarks import plots, point_sets, tables
+from benchmarks.methods import KITC, TAYLOR
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -30,7 +31,7 @@ def step_carpet(rods: int) -> Row:
     """Take some steps after a first one, which compiles and estimates the spectral radius."""
     numba.set_num_threads(1)
     options = {"rows": rods, "columns": rods, "nodes": point_sets.ROD_POINTS}
-    backend = mrs.Backend("kitc", theta=0.7, degree=5)
+    backend = mrs.Backend(KITC, theta=0.7, degree=5)
     scene = mrs.scenario.make("cilia_array", options)
     sim = scene.build(backend=backend, integrator=mrs.Integrator("euler", dt=DT))
     sim.step(DT)
@@ -71,8 +72,8 @@ def plot(rows: list[Row], figure: Any) -> None:
     """Draw seconds of a step against nodes."""
     figure.set_size_inches(0.6 * plots.WIDTH, 4.0)
     axes = figure.subplots()
-    plots.line(axes, rows, "n", "seconds", "kitc", "a step", 0)
-    plots.line(axes, rows, "n", "outside", "taylor", "of it outside the sums", 1)
+    plots.line(axes, rows, "n", "seconds", KITC, "a step", 0)
+    plots.line(axes, rows, "n", "outside", TAYLOR, "of it outside the sums", 1)
     plots.points_axis(axes, (row["n"] for row in rows))
     axes.set(yscale="log", xlabel="nodes", ylabel="seconds")
     plots.finish(figure)

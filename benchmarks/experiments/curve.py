@@ -17,6 +17,7 @@ from itertools import groupby
 from typing import Any
 
 from benchmarks import plots, printed, sums, tables
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -27,20 +28,20 @@ SINGLE = {"precision": "float32"}
 SINGLE_THETA = 0.7  # of the sums that are done in singles as well
 
 FINE: dict[str, Any] = {
-    "kitc": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
-    "taylor": ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
-    "fmm": (1e-2, 2e-3, 1e-3, 1e-4, 3e-5, 1e-6, 5e-7, 3e-7, 1e-8, 1e-10, 1e-11),
+    KITC: ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
+    TAYLOR: ((0.5, 0.6, 0.7, 0.8), (1, 3, 5, 7, 9)),
+    FMM: (1e-2, 2e-3, 1e-3, 1e-4, 3e-5, 1e-6, 5e-7, 3e-7, 1e-8, 1e-10, 1e-11),
     "fmm3d": (1e-3, 1e-6, 1e-9),
 }
 COARSE = FINE | {
-    "kitc": ((0.6, 0.7, 0.8), (1, 3, 5, 7)),
-    "taylor": ((0.6, 0.7, 0.8), (3, 5, 7, 9)),
+    KITC: ((0.6, 0.7, 0.8), (1, 3, 5, 7)),
+    TAYLOR: ((0.6, 0.7, 0.8), (3, 5, 7, 9)),
     "fmm3d": (1e-3, 1e-6),
 }
 QUICK: dict[str, Any] = {
-    "kitc": ((0.7,), (3, 7)),
-    "taylor": ((0.7,), (3, 7)),
-    "fmm": (1e-2, 1e-3),
+    KITC: ((0.7,), (3, 7)),
+    TAYLOR: ((0.7,), (3, 7)),
+    FMM: (1e-2, 1e-3),
     "fmm3d": (1e-3,),
 }
 
@@ -49,15 +50,15 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield backends with their parameters."""
     for n, grid in ((10_000, QUICK),) if quick else ((80_000, FINE), (640_000, COARSE)):
         common: Row = {"points": "organisms", "size": n, "epsilon": 0.02}
-        yield common | {"backend": "direct"}
-        for backend in ("kitc", "taylor"):
+        yield common | {"backend": DIRECT}
+        for backend in (KITC, TAYLOR):
             thetas, degrees = grid[backend]
             for theta in thetas:
                 for degree in degrees:
                     yield common | treecode(backend, theta, degree)
             for degree in degrees:
                 yield common | treecode(backend, SINGLE_THETA, degree) | SINGLE
-        yield from (common | {"backend": "fmm", "tol": tol} for tol in grid["fmm"])
+        yield from (common | {"backend": FMM, "tol": tol} for tol in grid[FMM])
         yield from (common | {"backend": "fmm3d", "tol": tol} for tol in grid["fmm3d"])
 
 
@@ -116,7 +117,7 @@ def plot(rows: list[Row], figure: Any) -> None:
         draw(axes, same)
         if n in printed.K1:
             paper = printed.K1[n]
-            plots.printed(axes, [paper.error], [paper.treecode], "kitc", "K table 1 (kitc)")
+            plots.printed(axes, [paper.error], [paper.treecode], KITC, "K table 1 (kitc)")
             axes.axhline(
                 paper.direct, color="0.5", linestyle=":", linewidth=1, label="K table 1 (direct)"
             )
@@ -127,11 +128,11 @@ def plot(rows: list[Row], figure: Any) -> None:
 def draw(axes: Any, rows: list[Row]) -> None:
     """Draw a line for each backend and theta."""
     for row in rows:
-        if row["backend"] == "direct":
-            label = "direct" + " (from sampled targets)" * row["extrapolated"]
+        if row["backend"] == DIRECT:
+            label = DIRECT + " (from sampled targets)" * row["extrapolated"]
             dashes = "-." if row["extrapolated"] else "--"
             axes.axhline(row["seconds"], color="k", linestyle=dashes, linewidth=1, label=label)
-    for backend in ("kitc", "taylor"):
+    for backend in (KITC, TAYLOR):
         for style, theta in enumerate(THETAS):
             same = [row for row in rows if (row["backend"], row.get("theta")) == (backend, theta)]
             for precision, note in (("float64", ""), ("float32", ", float32")):
@@ -139,6 +140,6 @@ def draw(axes: Any, rows: list[Row]) -> None:
                 shade = len(THETAS) if note else style
                 label = f"{backend}, theta {theta:g}{note}"
                 plots.line(axes, line, "error", "seconds", backend, label, shade)
-    for style, backend in enumerate(("fmm", "fmm3d")):
+    for style, backend in enumerate((FMM, "fmm3d")):
         line = [row for row in rows if row["backend"] == backend]
         plots.line(axes, line, "error", "seconds", backend, plots.name(backend), style)

@@ -12,6 +12,7 @@ from typing import Any
 
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
+from benchmarks.methods import FMM, KITC
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -23,8 +24,8 @@ def cases(quick: bool) -> Iterator[Row]:
     for epsilon in printed.K3:
         n = 10_000 if quick else 640_000
         common: Row = {"points": "organisms", "size": n, "epsilon": epsilon}
-        yield common | treecode("kitc", 0.7, 7) | {"sampled": True}
-        yield common | {"backend": "fmm", "tol": 3e-5}
+        yield common | treecode(KITC, 0.7, 7) | {"sampled": True}
+        yield common | {"backend": FMM, "tol": 3e-5}
 
 
 def table(rows: list[Row]) -> Iterator[str]:
@@ -34,7 +35,7 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 
 def _line(row: Row) -> list[str]:
-    kitc = row["backend"] == "kitc"
+    kitc = row["backend"] == KITC
     return [
         f"{row['n']:,}",
         f"{row['epsilon']:g}",
@@ -50,13 +51,13 @@ def plot(rows: list[Row], figure: Any) -> None:
     """Draw E against epsilon."""
     figure.set_size_inches(plots.WIDTH, 4.0)
     axes = figure.subplots()
-    for style, backend in enumerate(("kitc", "fmm")):
+    for style, backend in enumerate((KITC, FMM)):
         mine = [row for row in rows if row["backend"] == backend]
         if mine:
             label = f"{backend}, {tables.options(mine[0])}"
             plots.line(axes, mine, "epsilon", "error", backend, label, style)
     if rows[0]["n"] == 640_000:
-        plots.printed(axes, list(printed.K3), list(printed.K3.values()), "kitc", "K table 3")
+        plots.printed(axes, list(printed.K3), list(printed.K3.values()), KITC, "K table 3")
     axes.set(xscale="log", yscale="log", xlabel="epsilon", ylabel="E")
     axes.set_xticks(list(printed.K3), [f"{epsilon:g}" for epsilon in printed.K3])
     axes.minorticks_off()

@@ -14,6 +14,7 @@ from typing import Any
 
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
+from benchmarks.methods import DIRECT, FMM, KITC
 from benchmarks.rows import Row
 
 measure = sums.one_sum
@@ -26,9 +27,9 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield sizes with backends."""
     for n, degrees in {2_000: (3,), 10_000: (3, 7)}.items() if quick else DEGREES.items():
         common: Row = {"points": "organisms", "size": n, "epsilon": 0.02}
-        yield common | {"backend": "direct"}
-        yield from (common | treecode("kitc", 0.7, degree) for degree in degrees)
-        yield from (common | {"backend": "fmm", "tol": tol} for tol in TOLERANCES[: 2 - quick])
+        yield common | {"backend": DIRECT}
+        yield from (common | treecode(KITC, 0.7, degree) for degree in degrees)
+        yield from (common | {"backend": FMM, "tol": tol} for tol in TOLERANCES[: 2 - quick])
 
 
 def table(rows: list[Row]) -> Iterator[str]:
@@ -38,9 +39,9 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 def of_paper(row: Row, paper: dict[int, printed.Printed], size: int) -> tables.Printed:
     """Return seconds and error that K prints: of direct sums, and of `kitc` at n = 7."""
-    if size in paper and row["backend"] == "direct":
+    if size in paper and row["backend"] == DIRECT:
         return paper[size].direct, None
-    if size in paper and (row["backend"], row.get("degree")) == ("kitc", 7):
+    if size in paper and (row["backend"], row.get("degree")) == (KITC, 7):
         return paper[size].treecode, paper[size].error
     return None, None
 
@@ -67,9 +68,9 @@ def against_n(rows: list[Row], figure: Any, paper: dict[int, printed.Printed], s
         style = sorted({key(row) for row in rows if row["backend"] == backend}).index(key(mine[0]))
         plots.line(errors, mine, "n", "error", backend, label, style)
         plots.line(seconds, mine, "n", "seconds", backend, label, style)
-    plots.printed(errors, sizes, [value.error for value in values], "kitc", f"{source}, n 7")
-    plots.printed(seconds, sizes, [value.treecode for value in values], "kitc", f"{source}, n 7")
-    plots.printed(seconds, sizes, [value.direct for value in values], "direct", f"{source}, direct")
+    plots.printed(errors, sizes, [value.error for value in values], KITC, f"{source}, n 7")
+    plots.printed(seconds, sizes, [value.treecode for value in values], KITC, f"{source}, n 7")
+    plots.printed(seconds, sizes, [value.direct for value in values], DIRECT, f"{source}, direct")
     for axes, label in ((errors, "E"), (seconds, "seconds")):
         plots.points_axis(axes, (row["n"] for row in rows))
         axes.set(yscale="log", ylabel=label)

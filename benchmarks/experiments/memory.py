@@ -15,6 +15,7 @@ from typing import Any
 
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -29,13 +30,13 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield point sets with backends."""
     for n, degrees in {2_000: (1, 3), 10_000: (1, 3)}.items() if quick else DEGREES.items():
         common: Row = {"points": "organisms", "size": n, "epsilon": 0.02}
-        yield common | {"backend": "direct"}
-        yield from (common | treecode("kitc", 0.7, degree) for degree in degrees)
-        yield common | {"backend": "fmm", "tol": 1e-3}
+        yield common | {"backend": DIRECT}
+        yield from (common | treecode(KITC, 0.7, degree) for degree in degrees)
+        yield common | {"backend": FMM, "tol": 1e-3}
     for (points, size), orders in ORDERS.items() if not quick else ():
         common = {"points": points, "size": size}
-        yield common | {"backend": "direct"}
-        yield from (common | treecode("taylor", 0.5, order) for order in orders)
+        yield common | {"backend": DIRECT}
+        yield from (common | treecode(TAYLOR, 0.5, order) for order in orders)
 
 
 def table(rows: list[Row]) -> Iterator[str]:
@@ -45,7 +46,7 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 
 def _line(row: Row, rows: list[Row]) -> list[str]:
-    direct = [r["bytes"] for r in rows if r["n"] == row["n"] and r["backend"] == "direct"]
+    direct = [r["bytes"] for r in rows if r["n"] == row["n"] and r["backend"] == DIRECT]
     theirs, base = _paper(row)
     return [
         *tables.case(row),
@@ -60,10 +61,10 @@ def _paper(row: Row) -> tuple[float | None, float | None]:
     """Return the megabytes printed for a row, and for its direct sum."""
     organisms = row["points"] == "organisms"
     direct, values = (printed.K2 if organisms else printed.T_MEMORY).get(row["size"], (None, ()))
-    if row["backend"] == "direct":
+    if row["backend"] == DIRECT:
         return direct, direct
     parameters = printed.DEGREES if organisms else printed.ORDERS
-    if row["backend"] == "fmm" or not values:
+    if row["backend"] == FMM or not values:
         return None, None
     return values[parameters.index(row["degree"])], direct
 
@@ -81,7 +82,7 @@ def plot(rows: list[Row], figure: Any) -> None:
             line = [row | {"each": row["bytes"] / row["n"]} for row in group]
             style = styles.index((backend, parameters))
             plots.line(axes, line, "n", "each", backend, f"{backend} {parameters}", style)
-        for backend in ("direct", "kitc", "taylor"):
+        for backend in (DIRECT, KITC, TAYLOR):
             theirs = [(row["n"], _paper(row)[0]) for row in mine if row["backend"] == backend]
             both = [(n, 1e6 * value / n) for n, value in theirs if value]
             sizes, each = (list(values) for values in zip(*both, strict=True)) if both else ([], [])

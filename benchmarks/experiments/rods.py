@@ -15,6 +15,7 @@ from typing import Any
 from benchmarks import plots, point_sets, printed, sums, tables
 from benchmarks.experiments import growth
 from benchmarks.experiments.curve import treecode
+from benchmarks.methods import DIRECT, FMM, KITC
 from benchmarks.rows import Row
 
 measure = sums.one_sum
@@ -27,9 +28,9 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield rods on a side with backends."""
     for side, degrees in {4: (3,), 8: (3,)}.items() if quick else DEGREES.items():
         common: Row = {"points": "rods", "size": side}
-        yield common | {"backend": "direct"}
-        yield from (common | treecode("kitc", 0.7, degree, 1000) for degree in degrees)
-        yield common | {"backend": "fmm", "tol": TOLERANCE}
+        yield common | {"backend": DIRECT}
+        yield from (common | treecode(KITC, 0.7, degree, 1000) for degree in degrees)
+        yield common | {"backend": FMM, "tol": TOLERANCE}
 
 
 def table(rows: list[Row]) -> Iterator[str]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments import curve
+from benchmarks.methods import DIRECT, FMM, TAYLOR
 from benchmarks.rows import Row
 
 measure = sums.one_sum
@@ -38,13 +39,13 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield point sets with backends."""
     for (points, size), grid in (QUICK if quick else SETS).items():
         common: Row = {"points": points, "size": size}
-        yield common | {"backend": "direct"}
+        yield common | {"backend": DIRECT}
         for theta, orders in grid.items():
-            yield from (common | curve.treecode("taylor", theta, order) for order in orders)
+            yield from (common | curve.treecode(TAYLOR, theta, order) for order in orders)
         if points == "cube" and not quick:
-            yield common | curve.treecode("taylor", 0.5, 6) | curve.SINGLE
+            yield common | curve.treecode(TAYLOR, 0.5, 6) | curve.SINGLE
         if not quick:
-            yield from (common | {"backend": "fmm", "tol": tol} for tol in TOLERANCES[points])
+            yield from (common | {"backend": FMM, "tol": tol} for tol in TOLERANCES[points])
 
 
 def table(rows: list[Row]) -> Iterator[str]:
@@ -54,9 +55,9 @@ def table(rows: list[Row]) -> Iterator[str]:
 
 def _paper(row: Row) -> tables.Printed:
     """Return the seconds and the error that T prints for a row."""
-    if row["backend"] == "taylor":
+    if row["backend"] == TAYLOR:
         return printed.taylor(row["size"], row["theta"], row["degree"])
-    return printed.T_DIRECT.get(row["size"]) if row["backend"] == "direct" else None, None
+    return printed.T_DIRECT.get(row["size"]) if row["backend"] == DIRECT else None, None
 
 
 def plot(rows: list[Row], figure: Any) -> None:
@@ -69,11 +70,11 @@ def plot(rows: list[Row], figure: Any) -> None:
     for axes, ((points, n), same) in zip(panels, groups, strict=False):
         curve.draw(axes, same)
         figures = [(*_paper(row), row["backend"]) for row in same]
-        both = [(e, s) for s, e, backend in figures if s and e and backend == "taylor"]
+        both = [(e, s) for s, e, backend in figures if s and e and backend == TAYLOR]
         errors, seconds = (list(values) for values in zip(*both, strict=True)) if both else ([], [])
-        plots.printed(axes, errors, seconds, "taylor", "T (taylor)")
+        plots.printed(axes, errors, seconds, TAYLOR, "T (taylor)")
         for s, _, backend in figures:
-            if s and backend == "direct":
+            if s and backend == DIRECT:
                 axes.axhline(s, color="0.5", linestyle=":", linewidth=1, label="T (direct)")
         title = f"{points}, N = {n:,}"
         axes.set(xscale="log", yscale="log", title=title, xlabel="E", ylabel="seconds")

@@ -12,6 +12,7 @@ from typing import Any
 
 from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import SINGLE, treecode
+from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
 from mrs import markdown
 
@@ -23,18 +24,18 @@ def cases(quick: bool) -> Iterator[Row]:
     organisms: Row = {"points": "organisms", "size": 10_000 if quick else 640_000, "epsilon": 0.02}
     rods: Row = {"points": "rods", "size": 8 if quick else 80}
     cube: Row = {"points": "cube", "size": 10_000 if quick else 1_000_000}
-    yield organisms | {"backend": "direct"}
-    yield organisms | treecode("kitc", 0.7, 7)
-    yield organisms | treecode("kitc", 0.7, 7) | SINGLE
-    yield organisms | treecode("kitc", 0.62, 6) | SINGLE  # E below the 3.17e-5 of K
-    yield organisms | {"backend": "fmm", "tol": 1e-3}
+    yield organisms | {"backend": DIRECT}
+    yield organisms | treecode(KITC, 0.7, 7)
+    yield organisms | treecode(KITC, 0.7, 7) | SINGLE
+    yield organisms | treecode(KITC, 0.62, 6) | SINGLE  # E below the 3.17e-5 of K
+    yield organisms | {"backend": FMM, "tol": 1e-3}
     if not quick:
-        yield organisms | {"backend": "fmm", "tol": 3e-5}
-        yield rods | {"backend": "direct"}
-        yield rods | treecode("kitc", 0.7, 7, 1000)
-        yield rods | {"backend": "fmm", "tol": 1e-4}
-    yield cube | treecode("taylor", 0.5, 6)
-    yield cube | treecode("taylor", 0.5, 6) | SINGLE
+        yield organisms | {"backend": FMM, "tol": 3e-5}
+        yield rods | {"backend": DIRECT}
+        yield rods | treecode(KITC, 0.7, 7, 1000)
+        yield rods | {"backend": FMM, "tol": 1e-4}
+    yield cube | treecode(TAYLOR, 0.5, 6)
+    yield cube | treecode(TAYLOR, 0.5, 6) | SINGLE
 
 
 def table(rows: list[Row]) -> Iterator[str]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from benchmarks import plots, sums, tables
 from benchmarks.experiments.curve import treecode
+from benchmarks.methods import FMM, KITC
 from benchmarks.point_sets import UNEVEN
 from benchmarks.rows import Row
 from mrs import markdown
@@ -24,8 +25,8 @@ def cases(quick: bool) -> Iterator[Row]:
     """Yield sets with backends."""
     for name in UNEVEN:
         common: Row = {"points": name, "size": 5_000 if quick else 300_000}
-        yield common | treecode("kitc", 0.7, 3)
-        yield common | {"backend": "fmm", "tol": 1e-3}
+        yield common | treecode(KITC, 0.7, 3)
+        yield common | {"backend": FMM, "tol": 1e-3}
 
 
 def table(rows: list[Row]) -> Iterator[str]:

@@ -60,6 +60,10 @@ class Layout:
         names = [body.name for body in bodies]
         if not bodies or len(set(names)) < len(names):
             raise ValueError(f"bodies must be at least one, with different names, got {names}")
+        for body in bodies:
+            count = len(body.positions)
+            _require_shape(body, "positions", body.positions, (count, 3))
+            _require_shape(body, "quaternions", body.quaternions, (0, 4), (count, 4))
         self.initial = State(
             np.concatenate([body.positions for body in bodies]),
             np.concatenate([body.quaternions for body in bodies]),
@@ -127,9 +131,12 @@ class Layout:
         for part in self.parts:
             if part.body.has_force:
                 force, torque = part.body.loads(time, part.state(state))
-                loads[part.points, :3] = force
+                own = loads[part.points]
+                _require_shape(part.body, "forces of loads", force, (len(own), 3))
+                own[:, :3] = force
                 if torque is not None:
-                    loads[part.points, 3:] = torque
+                    _require_shape(part.body, "torques of loads", torque, (len(own), 3))
+                    own[:, 3:] = torque
         return loads
 
     def rates(self, time: float, state: State, motion: np.ndarray) -> np.ndarray:
@@ -138,7 +145,11 @@ class Layout:
         for part in self.parts:
             own = motion[part.points]
             spin = own[:, 3:] if part.body.has_spin else None
-            velocity, turning = part.body.rates(time, part.state(state), own[:, :3], spin)
+            moved = part.state(state)
+            velocity, turning = part.body.rates(time, moved, own[:, :3], spin)
+            _require_shape(part.body, "velocities of rates", velocity, moved.positions.shape)
+            count = len(moved.quaternions)
+            _require_shape(part.body, "angular velocities of rates", turning, (count, 3))
             velocities.append(velocity)
             spins.append(turning)
         return np.concatenate([*velocities, *spins])
@@ -186,6 +197,15 @@ class Layout:
             if part.quaternions.start <= turn < part.quaternions.stop:
                 return f"the triad of node {turn - part.quaternions.start} of {part.body.name!r}"
         raise IndexError(row)
+
+
+def _require_shape(body: Body, what: str, array: np.ndarray, *shapes: tuple[int, ...]) -> None:
+    """Refuse an array of a user's body, which would be stretched to fit or shift the others'."""
+    if np.shape(array) not in shapes:
+        allowed = " or ".join(map(str, shapes))
+        raise ValueError(
+            f"{what} of {body.name!r} must have shape {allowed}, got shape {np.shape(array)}"
+        )
 
 
 def _slices(sizes: Iterable[int]) -> list[slice]:

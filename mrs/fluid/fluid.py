@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from mrs import check
 from mrs.fluid.flows import Flow
+from mrs.fluid.mobility import Boundary, FreeSpace
 
 
 @check.spelling
@@ -24,11 +25,14 @@ class Fluid:
     background : Flow, optional
         What it does without bodies: one of `mrs.flows`, or an object with their methods `velocity`
         and, for rods, `vorticity`.
+    boundary : treecode.Boundary, optional
+        Walls; the fluid is everywhere by default.
     """
 
     viscosity: float = 1.0
     epsilon: float | None = None
     background: Flow | None = None
+    boundary: Boundary = field(default_factory=FreeSpace)
 
     def __post_init__(self) -> None:
         check.positive("viscosity", self.viscosity)
@@ -40,6 +44,9 @@ class Fluid:
                 "background must be a flow such as mrs.flows.shear(rate=1.0), or "
                 f"mrs.flows.UserFlow(function), got {flow!r}"
             )
+
+        if not isinstance(self.boundary, Boundary):
+            raise TypeError(f"boundary must be a treecode.Boundary, got {self.boundary!r}")
 
     def flow(
         self,

@@ -10,9 +10,10 @@ import numpy as np
 
 import treecode as tc
 from mrs import check
+from treecode import Boundary, FreeSpace
 from treecode.accuracy import Parts
 
-BACKENDS = ("auto", "direct", "kitc", "taylor", "fmm")
+DIRECT = tc.EXACT.backend  # the name of sums of which none are more accurate
 _KINDS: tuple[Any, ...] = tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet  # without, with
 _SAMPLES = 1000  # points at which errors are sampled for the log
 _LEAST_TOLERANCE = 2e-13  # that can be asked of a sum
@@ -25,10 +26,14 @@ class Backend:
 
     Parameters
     ----------
-    name : {"auto", "direct", "kitc", "taylor", "fmm"}
-        "auto" takes what should be the fastest for `tolerance`; see `treecode.Plan`.
+    name : str
+        One of `names`: "auto", which takes what should be the fastest for `tolerance`, or a method
+        of summation; see `treecode.Plan`.
     theta, degree, leaf_size : optional
         Of treecodes, as in `treecode.Plan`; by default what suits `tolerance`.
+    precision : {"float64", "float32"}, optional
+        Of direct sums, and of treecodes with a `degree`, as in `treecode.Plan`; by default what
+        suits `tolerance`.
     tolerance : float, optional
         Relative error in the Euclidean norm (K eq. 8.1), of the velocities of each body, and of
         its angular velocities. It is met at the first evaluation of a simulation, looked at
@@ -42,21 +47,29 @@ class Backend:
     theta: float | None = None
     degree: int | None = None
     leaf_size: int | None = None
+    precision: str | None = None
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        check.one_of("name", self.name, BACKENDS)
+        check.one_of("name", self.name, self.names())
         check.number("tolerance", self.tolerance, 1e-12, 1.0)
         tc.Plan(_KINDS[0](epsilon=1.0), **self.options(self.tolerance))  # refuses the rest
 
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Return what `name` may be."""
+        return tc.backends()
+
     def options(self, tolerance: float) -> dict[str, Any]:
         """Return those of a sum; the tolerance is this one."""
+        by_hand = self.degree is not None and "tol" not in tc.methods.parameters(self.name)
         return {
             "backend": self.name,
             "theta": self.theta,
             "degree": self.degree,
             "leaf_size": self.leaf_size,
-            "tol": tolerance if self.degree is None or self.name == "fmm" else None,
+            "precision": self.precision,
+            "tol": None if by_hand else tolerance,
         }
 
 
@@ -65,14 +78,16 @@ class _Sum:
 
     def __init__(
         self,
-        kernel: tc.Kernel,
+        term: tc.Term,
+        width: int,
         sources: np.ndarray,
         targets: np.ndarray,
         bodies: np.ndarray,
         backend: Backend,
     ) -> None:
-        self.kernel, self.sources, self.targets = kernel, sources, targets
-        self.same = np.array_equal(sources, targets)
+        self.term, self.sources, self.targets = term, sources, targets
+        self._width = width  # of the loads: forces, and torques
+        self._same = term.sources is None and np.array_equal(sources, targets)
         own = bodies[targets]
         self._groups = own if (own != own[0]).any() else None
         self._backend = backend
@@ -80,38 +95,54 @@ class _Sum:
 
     def begin(self, choice: tc.Choice | None) -> None:
         """Sum by a choice from now on, or choose anew."""
-        self.plan = tc.Plan(self.kernel, **self._backend.options(self._backend.tolerance))
+        self.plan = tc.Plan(self.term.kernel, **self._backend.options(self._backend.tolerance))
         if choice is not None:
             self.plan.use(choice)
 
-    def strengths(self, loads: np.ndarray) -> np.ndarray:
-        """Return the part of the loads, (N, 6), that the kernel takes."""
-        return loads[self.sources, : self.kernel.strength_size]
+    def strengths(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Return the part of the loads, (N, 6), that the kernel takes, as the term turns it."""
+        strengths = loads[self.sources, : self._width]
+        if self.term.strengths is None:
+            return strengths
+        return self.term.strengths(points[self.sources], strengths)
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         self._place(points)
+        strengths = self.strengths(points, loads)
         try:
-            return self.plan.execute(self.strengths(loads))
+            values = self.plan.execute(strengths)
         except tc.CancellationError:
             self._sum_directly(points)
-            return self.plan.execute(self.strengths(loads))
+            values = self.plan.execute(strengths)
+        if self.term.values is None:
+            return values
+        return self.term.values(points[self.targets], values)
+
+    def exact(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Return direct sums at other targets, (M, 3)."""
+        sources = self.term.sources_of(points[self.sources])
+        strengths = self.strengths(points, loads)
+        values = tc.evaluate(self.term.kernel, sources, strengths, targets, backend=DIRECT)
+        return self.term.flow_of(targets, values)
 
     def refine(
-        self, points: np.ndarray, loads: np.ndarray, tolerance: float, values: np.ndarray
+        self, points: np.ndarray, loads: np.ndarray, tolerance: float, flow: np.ndarray
     ) -> None:
         """Sample the error of the last sum, and choose another way to sum if it is too large."""
+        values = flow if self.term.values is None else None
         try:
-            self.plan.refine(self.strengths(loads), tolerance, values)
+            self.plan.refine(self.strengths(points, loads), tolerance, values)
         except tc.CancellationError:
             self._sum_directly(points)
 
     def _place(self, points: np.ndarray) -> None:
-        targets = None if self.same else points[self.targets]
-        self.plan.set_points(points[self.sources], targets, self._groups)
+        targets = None if self._same else points[self.targets]
+        sources = self.term.sources_of(points[self.sources])
+        self.plan.set_points(sources, targets, self._groups)
 
     def _sum_directly(self, points: np.ndarray) -> None:
         """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""
-        self.plan.use(tc.Choice("direct"))
+        self.plan.use(tc.EXACT)
         self._place(points)
 
 
@@ -134,6 +165,8 @@ class Mobility:
         The body of each point: what its motion is, and not only that of all, is within tolerance.
     backend : Backend
         For each sum.
+    boundary : treecode.Boundary, optional
+        Of the fluid.
 
     Attributes
     ----------
@@ -150,14 +183,16 @@ class Mobility:
         spinning: np.ndarray,
         bodies: np.ndarray,
         backend: Backend,
+        boundary: Boundary | None = None,
     ) -> None:
         self.backend = backend
+        boundary = boundary or FreeSpace()
         self.lock = tc.Lock()
         self.evaluations = 0
         self.seconds = 0.0
         self._bodies, self._spinning = bodies, spinning
         self._sums: list[_Sum] = []
-        self._sources: list[tuple[tc.Kernel, np.ndarray]] = []
+        self._sources: list[tuple[tc.Term, int, np.ndarray]] = []
         # Bodies without forces are apart: among the sources they would hardly count.
         together = np.where(forced, -1, bodies)
         for epsilon in np.unique(epsilons[forced]):
@@ -166,13 +201,18 @@ class Mobility:
                 if not len(sources):
                     continue
                 kernels = [kind(float(epsilon), viscosity) for kind in _KINDS]
-                self._sources.append((kernels[torque], sources))
+                width = kernels[torque].strength_size
+                terms = boundary.terms(kernels[torque])
+                self._sources += [(term, width, sources) for term in terms]
                 rotlet = spinning | torque
                 for body in np.unique(together):
                     for spin in np.unique(rotlet[together == body]):
                         targets = np.flatnonzero((together == body) & (rotlet == spin))
                         kernel = kernels[int(spin)]
-                        self._sums.append(_Sum(kernel, sources, targets, bodies, backend))
+                        width = kernel.strength_size
+                        for term in boundary.terms(kernel):
+                            part = _Sum(term, width, sources, targets, bodies, backend)
+                            self._sums.append(part)
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
@@ -188,10 +228,10 @@ class Mobility:
 
     def _outs(self, points: np.ndarray, loads: np.ndarray) -> list[np.ndarray]:
         """Return what each sum gives; if one was chosen for it, such that they do together."""
-        undecided = [term.plan.choice is None for term in self._sums]
-        outs = [term(points, loads) for term in self._sums]
+        undecided = [part.plan.choice is None for part in self._sums]
+        outs = [part(points, loads) for part in self._sums]
         if len(outs) == 1 or not any(
-            new and term.plan.choice for new, term in zip(undecided, self._sums, strict=True)
+            new and part.plan.choice for new, part in zip(undecided, self._sums, strict=True)
         ):
             return outs
         for k, tolerance in enumerate(self._needed(loads, outs)):
@@ -204,8 +244,8 @@ class Mobility:
 
     def _total(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
         values = np.zeros_like(loads)
-        for term, out in zip(self._sums, outs, strict=True):
-            values[term.targets, : out.shape[1]] += out
+        for part, out in zip(self._sums, outs, strict=True):
+            values[part.targets, : out.shape[1]] += out
         return values
 
     def _needed(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
@@ -215,7 +255,7 @@ class Mobility:
         """
         total = self._squares(self._total(loads, outs))
         terms = [
-            self._squares(out, term.targets) for term, out in zip(self._sums, outs, strict=True)
+            self._squares(out, part.targets) for part, out in zip(self._sums, outs, strict=True)
         ]
         return _shares(self.backend.tolerance, np.array(terms), total)
 
@@ -235,7 +275,7 @@ class Mobility:
         they are direct ones, of which nothing is more accurate, whatever their error.
         """
         tolerance, flow = self.backend.tolerance, (points, loads, targets)
-        outs = [self._velocity_once(flow, *term, tolerance) for term in self._sources]
+        outs = [self._velocity_once(flow, *part, tolerance) for part in self._sources]
         if len(outs) > 1 and self.backend.degree is None:
             squares = np.array([[np.vdot(out, out)] for out in outs])
             total = np.sum(outs, axis=0)
@@ -248,16 +288,20 @@ class Mobility:
     def _velocity_once(
         self,
         flow: tuple[np.ndarray, np.ndarray, np.ndarray],
-        kernel: tc.Kernel,
+        term: tc.Term,
+        width: int,
         sources: np.ndarray,
         tolerance: float,
     ) -> np.ndarray:
         points, loads, targets = flow
-        arguments = kernel, points[sources], loads[sources, : kernel.strength_size], targets
+        own = points[sources]
+        strengths = term.strengths_of(own, loads[sources, :width])
+        arguments = term.kernel, term.sources_of(own), strengths, targets
         try:
-            return tc.evaluate(*arguments, **self.backend.options(tolerance))[:, :3]
+            values = tc.evaluate(*arguments, **self.backend.options(tolerance))
         except tc.CancellationError:
-            return tc.evaluate(*arguments, backend="direct")[:, :3]
+            values = tc.evaluate(*arguments, backend=DIRECT)
+        return term.flow_of(targets, values)[:, :3]
 
     @property
     def pairs(self) -> int:
@@ -267,18 +311,18 @@ class Mobility:
 
     def infos(self) -> list[dict[str, Any]]:
         """Return `treecode.Plan.info` of each sum in the last evaluation."""
-        return [term.plan.info() for term in self._sums if term.plan.choice is not None]
+        return [part.plan.info() for part in self._sums if part.plan.choice is not None]
 
     @property
     def choices(self) -> list[tc.Choice]:
         """What each sum is done by, of those that are decided."""
-        choices = (term.plan.choice for term in self._sums)
+        choices = (part.plan.choice for part in self._sums)
         return [choice for choice in choices if choice is not None]
 
     def history(self) -> list[dict[str, Any] | None]:
         """Return the choices made so far, None for sums whose strengths have been zero."""
-        choices = (term.plan.choice for term in self._sums)
-        return [None if choice is None else choice._asdict() for choice in choices]
+        choices = (part.plan.choice for part in self._sums)
+        return [None if choice is None else choice.as_dict() for choice in choices]
 
     def restore(self, history: list[dict[str, Any] | None]) -> None:
         """Use earlier choices again: a run that is resumed must not choose by another state."""
@@ -286,8 +330,8 @@ class Mobility:
             raise ValueError(
                 f"checkpoint: {len(history)} sums, those of the scene are {len(self._sums)}"
             )
-        for term, choice in zip(self._sums, history, strict=True):
-            term.begin(None if choice is None else tc.Choice(**choice))
+        for part, choice in zip(self._sums, history, strict=True):
+            part.begin(None if choice is None else tc.Choice(**choice))
 
     def sampled_error(self, points: np.ndarray, loads: np.ndarray) -> float:
         """Return the relative error at randomly drawn points of each body, the largest.
@@ -298,16 +342,14 @@ class Mobility:
             return 0.0
         wanted = np.ones_like(loads)
         wanted[~self._spinning, 3:] = 0.0
-        outs = [term(points, loads) for term in self._sums]
+        outs = [part(points, loads) for part in self._sums]
         values = wanted * self._total(loads, outs)
 
         def exact_at(rows: np.ndarray) -> np.ndarray:
             exact = np.zeros((len(rows), loads.shape[1]))
-            for term in self._sums:
-                own = np.isin(rows, term.targets)
-                strengths = term.strengths(loads)
-                some = points[term.sources], strengths, points[rows[own]]
-                out = tc.evaluate(term.kernel, *some, backend="direct")
+            for part in self._sums:
+                own = np.isin(rows, part.targets)
+                out = part.exact(points, loads, points[rows[own]])
                 exact[own, : out.shape[1]] += out
             return wanted[rows] * exact
 
@@ -318,10 +360,10 @@ class Mobility:
     def correct(self, points: np.ndarray, loads: np.ndarray) -> bool:
         """Choose anew where a sum does not reach its tolerance any more; return if so."""
         before = self.choices
-        outs = [term(points, loads) for term in self._sums]
+        outs = [part(points, loads) for part in self._sums]
         needed = self._needed(loads, outs) if len(outs) > 1 else [self.backend.tolerance]
-        for term, tolerance, out in zip(self._sums, needed, outs, strict=False):
-            term.refine(points, loads, tolerance, out)
+        for part, tolerance, out in zip(self._sums, needed, outs, strict=False):
+            part.refine(points, loads, tolerance, out)
         return self.choices != before
 
 

@@ -53,9 +53,8 @@ class VtkhdfFile(BodyFile):
     def cut(self, sim: Simulation) -> float | None:
         if self.path.exists():
             return vtkhdf.cut(self.path, sim.time)
-        fluid = sim.fluid.viscosity, sim.fluid.background, sim.backend.tolerance
-        versions = run_directory.versions()
-        meta = {"kind": self.body.kind, **versions, **_META, **fluid_meta(*fluid)}
+        fluid = fluid_meta(sim.fluid, sim.backend.tolerance)
+        meta = {"kind": self.body.kind, **run_directory.versions(), **_META, **fluid}
         topology = Topology(*self.body.topology())
         vtkhdf.create(self.path, topology, *sim.scene.constant_fields(self.body), meta)
         return None

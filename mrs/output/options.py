@@ -60,6 +60,10 @@ class Output:
             raise TypeError(f"formats must be a list of texts, got {self.formats!r}")
         for i, name in enumerate(self.formats):
             check.one_of(f"formats[{i}]", name, FORMATS)
+        if len(set(self.formats)) < len(self.formats):
+            raise ValueError(f"formats must be different ones, got {self.formats!r}")
+        if not isinstance(self.columns, Mapping):
+            raise TypeError(f"columns must be a dict of functions by name, got {self.columns!r}")
         for name, function in self.columns.items():
             if not isinstance(name, str) or name in COLUMNS:
                 raise ValueError(

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrs.fluid import Backend, Fluid, Mobility
 from mrs.fluid.flows import Flow, QuadraticFlow
-from mrs.fluid.mobility import Backend, Mobility
+from mrs.fluid.mobility import DIRECT, Boundary, FreeSpace
 from mrs.output import frames
 from mrs.output.trajectory import Trajectory
 
@@ -17,18 +18,21 @@ _SAMPLE = 200  # targets, and points of each body, that errors are taken at
 _FLOW = ("constant", "gradient", "quadratic")  # the numbers of a QuadraticFlow
 
 
-def fluid_meta(viscosity: float, background: Flow | None, tolerance: float) -> dict[str, Any]:
-    """Return the numbers of a fluid that the files of a run keep.
+def fluid_meta(fluid: Fluid, tolerance: float) -> dict[str, Any]:
+    """Return the facts on the fluid that the files of a run hold.
 
     Parameters
     ----------
-    viscosity : float
-    background : Flow or None
-        A `QuadraticFlow` is kept by its numbers, any other by its name only.
+    fluid : Fluid
+        A background that is a `QuadraticFlow` is kept by its numbers. Any other one, and a
+        boundary, is kept by its name only.
     tolerance : float
         Of the run's sums.
     """
-    meta: dict[str, Any] = {"viscosity": viscosity, "tolerance": tolerance}
+    meta: dict[str, Any] = {"viscosity": fluid.viscosity, "tolerance": tolerance}
+    background = fluid.background
+    if not isinstance(fluid.boundary, FreeSpace):
+        meta["boundary"] = type(fluid.boundary).__qualname__
     if background is not None:
         meta["background"] = type(background).__qualname__
     if type(background) is QuadraticFlow:
@@ -59,6 +63,8 @@ class StoredFrame:
         Its number; negative ones count from the end.
     background : Flow, optional
         In place of one that the files only name.
+    boundary : treecode.Boundary, optional
+        Likewise.
 
     Attributes
     ----------
@@ -70,6 +76,8 @@ class StoredFrame:
     unknown : str or None
         Name of a background that neither the files nor the caller tell. Velocities are those of the
         disturbance by the bodies then.
+    unknown_boundary : str or None
+        Name of a boundary that neither tells. There are no velocities then.
 
     Raises
     ------
@@ -82,7 +90,11 @@ class StoredFrame:
     """
 
     def __init__(
-        self, directory: str | Path, frame: int = -1, background: Flow | None = None
+        self,
+        directory: str | Path,
+        frame: int = -1,
+        background: Flow | None = None,
+        boundary: Boundary | None = None,
     ) -> None:
         with frames.trajectories(directory) as bodies:
             common = frames.Frames(bodies)
@@ -99,6 +111,8 @@ class StoredFrame:
         elif background is None:
             self.unknown = meta.get("background")
         self._background = background
+        self.unknown_boundary = meta.get("boundary") if boundary is None else None
+        self._boundary = boundary
         self._sources = _sources(self._parts)
         self._sums = self._mobility(self._sources, "auto")
 
@@ -109,7 +123,17 @@ class StoredFrame:
         ----------
         targets : (M, 3) float ndarray
             Any points.
+
+        Raises
+        ------
+        ValueError
+            If the boundary is unknown.
         """
+        if self.unknown_boundary:
+            raise ValueError(
+                f"boundary must be given: the run had a {self.unknown_boundary}, which files "
+                "cannot hold"
+            )
         return self._at(targets, self._sources, self._sums)
 
     def error(self, targets: np.ndarray, values: np.ndarray) -> FieldError:
@@ -145,7 +169,7 @@ class StoredFrame:
         return float(np.median(np.linalg.norm(difference, axis=1)) / (np.sqrt(square) or 1.0))
 
     def _directly(self, targets: np.ndarray, sources: _Sources) -> np.ndarray:
-        return self._at(targets, sources, self._mobility(sources, "direct"))
+        return self._at(targets, sources, self._mobility(sources, DIRECT))
 
     def _at(self, targets: np.ndarray, sources: _Sources, sums: Mobility) -> np.ndarray:
         values = sums.velocity(sources.points, sources.loads, targets)
@@ -164,6 +188,7 @@ class StoredFrame:
             spinning=~forced,
             bodies=np.zeros(len(forced), int),
             backend=Backend(backend, tolerance=self.tolerance),
+            boundary=self._boundary,
         )
 
 

@@ -18,7 +18,6 @@ from mrs.bodies import Body
 from mrs.bodies.base import Arrays
 from mrs.describe import described, differences
 from mrs.fluid import Backend, Fluid, Mobility
-from mrs.fluid.mobility import BACKENDS
 from mrs.forces import Force
 from mrs.output import run_directory
 from mrs.output.options import Output
@@ -96,7 +95,7 @@ class Simulation:
         bodies = check.instances("bodies", bodies, Body)
         forces = check.instances("forces", forces, Force)
         if not isinstance(backend, Backend):
-            backend = Backend(check.one_of("backend", backend, BACKENDS))
+            backend = Backend(check.one_of("backend", backend, Backend.names()))
         if not isinstance(integrator, Integrator):
             integrator = Integrator(check.one_of("integrator", integrator, METHODS))
         self.integrator = integrator
@@ -105,9 +104,10 @@ class Simulation:
         self.recipe = recipe
         self.profile = Profile()
         self.scene = Scene(fluid, bodies, forces, backend, self.profile)
-        self.time, self.state = 0.0, self.scene.layout.initial
-        self.stepper = Stepper(integrator)
-        self.moment = Moment(0.0, 0, 0.0)
+        self.time: float = 0.0
+        self.state: State = self.scene.layout.initial
+        self.stepper: Stepper = Stepper(integrator)
+        self.moment: Moment = Moment(0.0, 0, 0.0)
         self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run

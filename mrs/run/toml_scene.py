@@ -90,7 +90,7 @@ Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
 Suspension = _one_of(random_suspension, lattice_suspension)
 Vectors = list[tuple[float, float, float]]
 
-_FLUID: Any = _call(Fluid, background=Background | None)
+_FLUID: Any = _call(Fluid, leave_out="boundary", background=Background | None)
 
 # Bodies whose options are not those of their class: how TOML says them, and what is made of them.
 _ROD_OPTIONS: Any = _call(
@@ -146,11 +146,11 @@ def scene() -> type[Scenario]:
     """
     fields: dict[str, Any] = {}
     for kind, body in BODIES.items():
-        options = _OPTIONS.get(kind) or _call(body)
+        options: Any = _OPTIONS.get(kind) or _call(body)
         fields[kind] = list[options], Field([], description=f"arguments of {body.__name__}")
     for kind, force in FORCES.items():
-        options = force if is_dataclass(force) else _call(force)
-        fields[kind] = options | None, Field(None, description=f"arguments of {force.__name__}")
+        model: Any = force if is_dataclass(force) else _call(force)
+        fields[kind] = model | None, Field(None, description=f"arguments of {force.__name__}")
     return create_model("Scene", __base__=_Scene, __module__=__name__, **fields)
 
 

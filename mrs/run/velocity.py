@@ -11,6 +11,7 @@ import numpy as np
 
 from mrs import check
 from mrs.fluid.flows import Flow
+from mrs.fluid.mobility import Boundary
 from mrs.output import field, run_directory
 from mrs.output.stored import FieldError, StoredFrame
 from mrs.run.resuming import scenario_of
@@ -27,7 +28,10 @@ class Field(NamedTuple):
 
 
 def frame_velocity(
-    directory: str | Path, frame: int = -1, background: Flow | None = None
+    directory: str | Path,
+    frame: int = -1,
+    background: Flow | None = None,
+    boundary: Boundary | None = None,
 ) -> tuple[np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """Return the points of a stored frame, (N, 3), and the velocity of the fluid as a function.
 
@@ -39,6 +43,8 @@ def frame_velocity(
         Its number; the last by default.
     background : Flow, optional
         Of the fluid, if it is none of `mrs.flows` with numbers that files can hold.
+    boundary : treecode.Boundary, optional
+        Of the fluid, if a script made the run; that of a scenario is known.
 
     Raises
     ------
@@ -56,7 +62,7 @@ def frame_velocity(
     -----
     Forces are those of the frame, in single precision; the sums have the tolerance of the run.
     """
-    stored = _stored(directory, frame, background)
+    stored = _stored(directory, frame, background, boundary)
     return stored.points, stored.velocity
 
 
@@ -120,12 +126,20 @@ def write_field(
     return Field(paths, stored.time, error)
 
 
-def _stored(directory: str | Path, frame: int, background: Flow | None = None) -> StoredFrame:
-    """Return a frame, with the background of the run's scenario if files cannot hold it."""
-    stored = StoredFrame(directory, frame, background)
-    if stored.unknown and "scenario" in run_directory.read(directory):
-        background = scenario_of(directory).simulation().fluid.background
-        return StoredFrame(directory, frame, background)
+def _stored(
+    directory: str | Path,
+    frame: int,
+    background: Flow | None = None,
+    boundary: Boundary | None = None,
+) -> StoredFrame:
+    """Return a frame, with parts of the fluid from the run's scenario if files cannot hold them."""
+    stored = StoredFrame(directory, frame, background, boundary)
+    lacks = stored.unknown or stored.unknown_boundary
+    if lacks and "scenario" in run_directory.read(directory):
+        fluid = scenario_of(directory).simulation().fluid
+        return StoredFrame(
+            directory, frame, background or fluid.background, boundary or fluid.boundary
+        )
     if stored.unknown:
         warnings.warn(
             f"background: the run had a {stored.unknown}, which files cannot hold; velocities are "

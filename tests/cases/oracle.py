@@ -7,8 +7,13 @@ import numpy as np
 import pytest
 
 import treecode as tc
+from treecode import methods
+from treecode.methods.treecode import Treecode
+from treecode.methods.walk import WalkMethod
 
-BACKENDS = ["direct", "kitc", "taylor"]
+METHODS = [methods.get(name) for name in methods.names()]
+BACKENDS = [method.name for method in METHODS if isinstance(method, WalkMethod)]
+TREECODES = [method.name for method in METHODS if isinstance(method, Treecode)]
 KERNELS = [
     tc.RegularizedStokeslet(epsilon=0.1, viscosity=0.7),
     tc.RegularizedStokesletRotlet(epsilon=0.1, viscosity=1.3),
@@ -18,7 +23,7 @@ KERNELS = [
 UNIT = 2.0**-53
 COINCIDENT = 2.0**-1022  # r^2 of points that are one to a singular kernel: doubles end there
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
-each_treecode = pytest.mark.parametrize("backend", ["kitc", "taylor"])
+each_treecode = pytest.mark.parametrize("backend", TREECODES)
 each_kernel = pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: type(kernel).__name__)
 
 

@@ -3,10 +3,11 @@
 import numpy as np
 
 import treecode as tc
-from tests.cases.oracle import BACKENDS, exact
+from tests.cases.oracle import exact
+from treecode.methods import names
 
 DEGREES = {"direct": 1, "kitc": 4, "taylor": 6}
-SUMS = [*BACKENDS, "fmm"]
+SUMS = names()
 TOLERANCE = 1e-2  # of "fmm", in singles but for singular kernels
 THETA = 0.5
 

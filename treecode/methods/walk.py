@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import sys
-from types import ModuleType
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from treecode.kernels.base import Kernel
+from treecode.methods.base import Method
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import (
@@ -19,63 +19,88 @@ from treecode.traversal import (
     NEAR_PAIRS,
     NEAR_TICKS,
     NOTES,
+    acceptance,
     accepted,
     evaluate_batches,
     load_weights,
 )
-from treecode.tree import build_tree
+from treecode.tree import Tree, build_tree
 
-PRECISIONS = "float64", "float32"
+
+class WalkMethod(Method):
+    """A method whose sums are walks: it has a tree, and expansions of the clusters.
+
+    The expansions are a NamedTuple whose methods are compiled: `holds`, `approximate` and `terms`
+    for the walk (`treecode.traversal`), and if there are any `gather_particles`, `gather_child` and
+    `finish` to fill them (`treecode.upward`).
+    """
+
+    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Walk:
+        """Return a walk without points."""
+        return Walk(self, kernel, parameters, progress)
+
+    def build(self, points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
+        """Sort points, (3, N), in place; return their tree and order."""
+        raise NotImplementedError
+
+    def far_distance2(self, tree: Tree, theta: float) -> np.ndarray:
+        """Return the square of the distance from which each cluster is far, (C,)."""
+        return acceptance(tree, theta)
+
+    def prepare(self, kernel: Any, tree: Tree, degree: int, wanted: np.ndarray, dtype: type) -> Any:
+        """Return room for the expansions of the `wanted` clusters that are to have one.
+
+        `dtype` is the precision of the sums.
+        """
+        raise NotImplementedError
+
+    def update(
+        self,
+        expansion: Any,
+        tree: Tree,
+        sources: np.ndarray,
+        weights: np.ndarray,
+        threads: Threads,
+    ) -> None:
+        """Fill the expansions from the sources' `weights`, (weight_size, N) in tree order."""
+        raise NotImplementedError
 
 
 class Walk:
-    """A sum by one of the modules `direct`, `kitc` and `taylor`; see `treecode.Plan`."""
+    """A sum by a `WalkMethod`."""
 
     def __init__(
-        self,
-        module: ModuleType,
-        kernel: Kernel,
-        theta: float,
-        degree: int,
-        leaf_size: int,
-        precision: str,
-        progress: bool,
+        self, method: WalkMethod, kernel: Kernel, parameters: Mapping[str, Any], progress: bool
     ) -> None:
-        self.kernel, self._progress = kernel, progress
-        self._module_name = module.__name__  # modules cannot be pickled
-        self.theta, self.degree, self.leaf_size = theta, degree, leaf_size
-        self._dtype: Any = np.dtype(precision).type
+        self.kernel, self.parameters, self._progress = kernel, parameters, progress
+        self._method = method
+        # Direct summation has no theta, no degree, and one leaf.
+        self._theta = parameters.get("theta", 0.5)
+        self._degree, self._leaf_size = parameters.get("degree", 0), parameters.get("leaf_size", 1)
+        self._dtype: Any = np.dtype(parameters["precision"]).type
         self._notes: np.ndarray | None = None
-
-    @property
-    def _module(self) -> Any:
-        return sys.modules[self._module_name]
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M); the arrays are kept, and permuted."""
         self.seconds = Seconds()
         with self.seconds.stage("tree"):
             self.sources = sources
-            self._tree, self.source_order = self._module.build(sources, self.leaf_size)
+            self._tree, self.source_order = self._method.build(sources, self._leaf_size)
             if targets is None:
                 self.targets, self.target_order = self.sources, self.source_order
                 around = self._tree
             else:
                 self.targets = targets
                 around, self.target_order = build_tree(targets, BATCH_SIZE, shrink=False)
-            self._distance2 = self._module.distance2(self._tree, self.theta)
+            self._distance2 = self._method.far_distance2(self._tree, self._theta)
             wanted = accepted(self._tree, self._distance2, around)
-            self._expansion = self._module.prepare(
-                self.kernel, self._tree, self.degree, wanted, self._dtype
+            self._expansion = self._method.prepare(
+                self.kernel, self._tree, self._degree, wanted, self._dtype
             )
             self._notes = None
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
-        return self.run(strengths)[0]
-
-    def run(self, strengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sum, and the linear weights, (weight_size, N), in the order of `sources`."""
         values = np.zeros((self.targets.shape[1], self.kernel.value_size))
         weights = np.empty((self.kernel.weight_size, len(strengths)))
         batches = -(-len(values) // BATCH_SIZE)
@@ -86,7 +111,7 @@ class Walk:
             most = -(-len(strengths) // BATCH_SIZE)
             with self.seconds.stage("weights"), Threads(most=most) as threads:
                 load_weights(self.kernel, strengths, self.source_order, weights, threads)
-                self._module.update(self._expansion, self._tree, self.sources, weights, threads)
+                self._method.update(self._expansion, self._tree, self.sources, weights, threads)
             like = np.empty(0, self._dtype)
 
             def evaluate(some: slice) -> None:
@@ -109,7 +134,7 @@ class Walk:
             with self.seconds.stage("walk"), Threads(self._progress, batches) as threads:
                 threads(evaluate, batches, 1, progress=True)
             self._divide_walk(notes)
-        return values, weights
+        return values
 
     @property
     def effort(self) -> float:
@@ -119,20 +144,17 @@ class Walk:
     def info(self) -> dict[str, Any]:
         """Return parameters, the size of the tree, pairs of the last sum and bytes held."""
         noted = [None] * NOTES if self._notes is None else self._notes.sum(axis=0).tolist()
-        held = [self.sources, self.source_order, self._distance2, *self._tree]
-        held += [a for a in self._expansion if isinstance(a, np.ndarray)]
+        arrays = [self.sources, self.source_order, self._distance2, *self._tree]
+        arrays += [a for a in self._expansion if isinstance(a, np.ndarray)]
         if self.targets is not self.sources:
-            held += [self.targets, self.target_order]
+            arrays += [self.targets, self.target_order]
         return {
-            "theta": self.theta,
-            "degree": self.degree,
-            "leaf_size": self.leaf_size,
-            "precision": self._dtype.__name__,
+            **self.parameters,
             "depth": self._tree.depth,
             "clusters": len(self._tree.radius),
             "near_pairs": noted[NEAR_PAIRS],
             "far_pairs": noted[FAR_PAIRS],
-            "bytes": sum(array.nbytes for array in held),
+            "bytes": sum(array.nbytes for array in arrays),
         }
 
     def _divide_walk(self, notes: np.ndarray) -> None:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from treecode._jit import inlined, standalone, wide_vectors
 from treecode._lanes import LANES
-from treecode.kernels.base import MEMBERS, SMALLEST, Kernel
+from treecode.kernels.base import SMALLEST, Kernel
+from treecode.methods.treecode import Treecode
 from treecode.pairs import accumulate
 from treecode.threads import Threads
-from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 from treecode.upward import fill
 
-MIN_DEGREE = 1
-KERNEL_MEMBERS = MEMBERS
+NAME = "kitc"
 
 _BLOCK = 256  # particles whose Lagrange polynomials are held at a time
 
@@ -67,32 +66,46 @@ class Interpolation(NamedTuple):
         pass
 
 
-def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
-    """Sort `points` into boxes that are bisected, not shrunk (K section 6)."""
-    return build_tree(points, leaf_size, shrink=False)
+class KernelIndependentTreecode(Treecode):
+    """The treecode with proxies at Chebyshev points, for any kernel."""
+
+    name = NAME
+    degrees = range(1, 15)
+
+    def terms(self, degree: Any) -> Any:
+        """Return the proxies of a cluster."""
+        return (degree + 1) ** 3
+
+    def build(self, points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
+        """Sort `points` into boxes that are bisected, not shrunk (K section 6)."""
+        return build_tree(points, leaf_size, shrink=False)
+
+    def prepare(
+        self, kernel: Kernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+    ) -> Interpolation:
+        """Allocate modified weights for the `wanted` clusters of more points than proxies."""
+        proxies = self.terms(degree)
+        expanded = wanted & (tree.stop - tree.start > proxies)
+        slot = np.where(expanded, np.cumsum(expanded) - 1, -1)
+        # The sine gives points that are symmetric to the last bit.
+        nodes = np.sin(np.pi * (degree - 2 * np.arange(degree + 1)) / (2 * degree))
+        shape = (np.count_nonzero(expanded), kernel.weight_size, proxies)
+        return Interpolation(nodes, slot, np.empty(shape, dtype))
+
+    def update(
+        self,
+        expansion: Interpolation,
+        tree: Tree,
+        sources: np.ndarray,
+        weights: np.ndarray,
+        threads: Threads,
+    ) -> None:
+        """Compute the modified weights from the particles' `weights`."""
+        expansion.weights[...] = 0.0
+        fill(expansion, tree, sources, weights, threads)
 
 
-distance2 = acceptance
-
-
-def prepare(
-    kernel: Kernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
-) -> Interpolation:
-    """Allocate the modified weights of degree `degree` for the `wanted` clusters worth it."""
-    worth = wanted & (tree.stop - tree.start > (degree + 1) ** 3)
-    slot = np.where(worth, np.cumsum(worth) - 1, -1)
-    # The sine gives points that are symmetric to the last bit.
-    nodes = np.sin(np.pi * (degree - 2 * np.arange(degree + 1)) / (2 * degree))
-    shape = (np.count_nonzero(worth), kernel.weight_size, (degree + 1) ** 3)
-    return Interpolation(nodes, slot, np.empty(shape, dtype))
-
-
-def update(
-    expansion: Interpolation, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
-) -> None:
-    """Compute the modified weights from the particles' `weights`."""
-    expansion.weights[...] = 0.0
-    fill(expansion, tree, sources, weights, threads)
+METHOD = KernelIndependentTreecode()
 
 
 @inlined
@@ -194,7 +207,7 @@ def _gather_child(expansion, tree, cluster, child):
     """Add a child's modified weights to its parent's: the interpolant of a polynomial is itself."""
     n = len(expansion.nodes)
     modified = expansion.weights[expansion.slot[cluster]]
-    inner = expansion.weights[expansion.slot[child]]
+    below = expansion.weights[expansion.slot[child]]
     matrices = np.empty((3, n, n))
     points = np.empty(n)
     for d in range(3):
@@ -203,6 +216,6 @@ def _gather_child(expansion, tree, cluster, child):
         center, half = tree.center[d, cluster], tree.half[d, cluster]
         _lagrange(expansion.nodes, center, half, points, matrices[d])
     for c in range(modified.shape[0]):
-        values = _apply(matrices[2], _apply(matrices[1], _apply(matrices[0], inner[c])))
+        values = _apply(matrices[2], _apply(matrices[1], _apply(matrices[0], below[c])))
         for k in range(n * n * n):
             modified[c, k] += values[k]

@@ -12,8 +12,9 @@ import numpy as np
 from treecode import cache
 from treecode._fingerprint import fingerprint
 from treecode._jit import free_at_fork, kernel_key
-from treecode.fmm.operators import Level, build_level
 from treecode.kernels.base import Kernel
+from treecode.methods.fmm.level import Level
+from treecode.methods.fmm.operators import build_level
 
 MEMORY_BYTES = 2**31
 DISK_BYTES = 2**32
@@ -29,21 +30,19 @@ def folder() -> Path | None:
     return base and base / cache.OPERATORS
 
 
-def get_level(
-    kernel: Kernel, half: float, tolerance: float, degree: int | None, dtype: type
-) -> Level:
+def get_level(kernel: Kernel, half: float, tol: float, degree: int | None, dtype: type) -> Level:
     """Return the operators of a level, from memory, from disk, or built; see `build_level`."""
     values = fingerprint(kernel)
     # The class itself, not its id, which another may get when this one is gone.
-    key = type(kernel), values or kernel, half, tolerance, degree, dtype
+    key = type(kernel), values or kernel, half, tol, degree, dtype
     with _lock:
         if key in _memory:
             _memory.move_to_end(key)
             return _memory[key]
-    path = _path(kernel_key(type(kernel)), values, half, tolerance, degree, np.dtype(dtype).name)
+    path = _path(kernel_key(type(kernel)), values, half, tol, degree, np.dtype(dtype).name)
     level = _read(path) if path else None
     if level is None:
-        level = build_level(kernel, half, tolerance, degree, dtype)
+        level = build_level(kernel, half, tol, degree, dtype)
         if path:
             _write(path, level)
     with _lock:

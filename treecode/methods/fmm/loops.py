@@ -8,8 +8,8 @@ import numpy as np
 
 from treecode._jit import Driver, compiled, inlined, wide_vectors
 from treecode._lanes import EIGHT, lane_count, load, load_eight, store, store_eight
-from treecode.fmm.octree import cell_at
-from treecode.fmm.symmetry import find_units
+from treecode.methods.fmm.octree import cell_at
+from treecode.methods.fmm.symmetry import find_units
 from treecode.pairs import accumulate, accumulate_row
 
 _TOGETHER = 64  # boxes of one product: with 16 or 32 K example 1 is a tenth slower
@@ -100,22 +100,22 @@ def evaluate_points(coefficients, points, ranges, centers, half, order, values):
     degree = coefficients.shape[2]
     polynomials = np.empty(degree, coefficients.dtype)
     products = np.empty(degree * degree, coefficients.dtype)
-    inner = np.empty(degree * degree, coefficients.dtype)
+    sums = np.empty(degree * degree, coefficients.dtype)
     scale = 1.0 / half
     for box in range(len(ranges)):
         for i in range(ranges[box, 0], ranges[box, 1]):
             _basis(points, i, centers[box], scale, polynomials, products)
             for c in range(coefficients.shape[1]):
                 for j in range(degree * degree):
-                    inner[j] = polynomials[0] * coefficients[box, c, 0, j]
+                    sums[j] = polynomials[0] * coefficients[box, c, 0, j]
                 for k in range(1, degree):
                     factor = polynomials[k]
                     row = coefficients[box, c, k]
                     for j in range(degree * degree):
-                        inner[j] += factor * row[j]
-                total = inner[0] * products[0]
+                        sums[j] += factor * row[j]
+                total = sums[0] * products[0]
                 for j in range(1, degree * degree):
-                    total += inner[j] * products[j]
+                    total += sums[j] * products[j]
                 values[order[i], c] += total
 
 
@@ -259,10 +259,10 @@ def translate(tree, boxes, offsets, matrices, begin, used, expansions, out, pair
         matrix = matrices[begin[t] : begin[t + 1]].reshape((8, depth, used[t]))
         left = combined[: 8 * _TOGETHER * depth].reshape((8, _TOGETHER * depth))
         for p in range(8):
-            met = 0
+            meetings = 0
             for q in range(8):
-                place[p, q] = met * used[t]  # of class q among those that meet p
-                met += (p ^ q) & ~mask == 0
+                place[p, q] = meetings * used[t]  # of class q among those that meet p
+                meetings += (p ^ q) & ~mask == 0
         for image in range(images):
             change[image] = _spread_bits(image, mask)
         count = 0
@@ -418,13 +418,13 @@ def _evaluate_few(kernel, sources, weights, out):
     accumulate_row(kernel, target, 0, sources, weights, sources.shape[1] - 64, out)
 
 
-def single_serves(kernel: Any, half: float, tolerance: float) -> bool:
+def single_serves(kernel: Any, half: float, tol: float) -> bool:
     """Tell whether single precision resolves a kernel in cubes of this size to a tolerance.
 
     It must agree with doubles, and the kernel must not change over the rounding of a coordinate.
     """
     units = find_units(kernel, half)
-    tolerance *= units.evenness
+    tol *= units.evenness
     rng = np.random.default_rng(0)
     scale = np.append(0.0, half * 2.0 ** -np.arange(24.0))
     for length in scale:
@@ -440,7 +440,7 @@ def single_serves(kernel: Any, half: float, tolerance: float) -> bool:
                 _evaluate_few(kernel, sources, weights, out)
                 results.append(out * units.values[:, None])
             exact, single, changed = results
-            bound = 0.3 * tolerance * np.abs(exact).max()
+            bound = 0.3 * tol * np.abs(exact).max()
             worst = np.maximum(np.abs(single - exact), np.abs(changed - exact)).max()
             if not worst <= bound:  # true for NaN as well
                 return False

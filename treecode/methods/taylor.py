@@ -19,13 +19,14 @@ and (31) with their sums over shifted derivatives done once a cluster, not once 
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from itertools import product
 from math import comb
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from treecode import check
 from treecode._jit import (
     inlined,
     method_hook,
@@ -35,20 +36,16 @@ from treecode._jit import (
 )
 from treecode._lanes import inverse_sqrt
 from treecode.kernels.base import COLUMNS, MEMBERS, Kernel
+from treecode.methods.base import KEYWORDS
+from treecode.methods.treecode import Treecode
 from treecode.threads import Threads
-from treecode.traversal import acceptance
 from treecode.tree import Tree, build_tree
 from treecode.upward import fill
 
-MIN_DEGREE = 0
-KERNEL_MEMBERS = (
-    *MEMBERS,
-    "derivatives",
-    "contractions",
-    "weight_lengths",
-    "value_lengths",
-    "taylor",
-)
+NAME = "taylor"
+
+# A Taylor polynomial may be a constant.
+_ORDER = KEYWORDS["degree"]._replace(check=partial(check.integer, low=0, high=40))
 
 
 class TaylorKernel(Kernel, Protocol):
@@ -93,11 +90,9 @@ class Expansion(NamedTuple):
 
     Attributes
     ----------
-    order : int
-        Terms with ``k1 + k2 + k3 <= order`` are summed.
     summed, inner, outer : int
-        How many multi-indices have a sum up to the order; up to the highest derivative of chi;
-        and up to the highest derivative of psi.
+        How many multi-indices have a sum up to the order, which are those of the terms that are
+        summed; up to the highest derivative of chi; and up to the highest derivative of psi.
     epsilon : float
         In the unit of length.
     scale : float
@@ -124,7 +119,6 @@ class Expansion(NamedTuple):
     moments : (clusters with a slot, weight_size + n, summed) float64
     """
 
-    order: int
     summed: int
     inner: int
     outer: int
@@ -166,14 +160,6 @@ class Expansion(NamedTuple):
         _contract(self, cluster)
 
 
-def build(points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
-    """Sort `points` into boxes that are shrunk to their points (T section 6.1.1)."""
-    return build_tree(points, leaf_size, shrink=True)
-
-
-distance2 = acceptance
-
-
 @cache
 def _tables(degree: int, derivatives: int) -> dict[str, Any]:
     """Return what an expansion needs to know about multi-indices; a millisecond at order 7."""
@@ -196,7 +182,6 @@ def _tables(degree: int, derivatives: int) -> dict[str, Any]:
         )
 
     return {
-        "order": degree,
         "summed": summed,
         "inner": inner,
         "outer": outer,
@@ -213,37 +198,61 @@ def _tables(degree: int, derivatives: int) -> dict[str, Any]:
     }
 
 
-def prepare(
-    kernel: TaylorKernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
-) -> Expansion:
-    """Choose the unit, and make room for the moments of the `wanted` clusters worth it.
+class TaylorTreecode(Treecode):
+    """The treecode with Taylor expansions, for kernels that provide their terms."""
 
-    They are doubles whatever `dtype` is: high derivatives leave the range of singles.
-    """
-    tables = _tables(degree, kernel.derivatives)
-    worth = wanted & (tree.stop - tree.start > tables["summed"])
-    radius = tree.radius.max(initial=0.0)
-    scale = 2.0 ** -np.frexp(radius)[1] if radius > 0.0 else 1.0
-    contractions = np.array(kernel.contractions, np.int64).reshape(-1, 3)
-    rows = kernel.weight_size + len(contractions)
-    return Expansion(
-        **tables,
-        epsilon=float(getattr(kernel, "epsilon", 0.0)) * scale,
-        scale=scale,
-        weight_scale=scale ** np.array(kernel.weight_lengths, np.float64),
-        value_scale=scale ** np.array(kernel.value_lengths, np.float64),
-        slot=np.where(worth, np.cumsum(worth) - 1, -1),
-        contractions=contractions,
-        moments=np.empty((np.count_nonzero(worth), rows, tables["summed"])),
-    )
+    name = NAME
+    parameters = Treecode.parameters | {"degree": _ORDER}
+    members = (*MEMBERS, "derivatives", "contractions", "weight_lengths", "value_lengths", "taylor")
+    any_kernel = False
+    degrees = range(19)
+
+    def terms(self, degree: Any) -> Any:
+        """Return the multi-indices up to an order."""
+        return (degree + 1) * (degree + 2) * (degree + 3) // 6
+
+    def build(self, points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
+        """Sort `points` into boxes that are shrunk to their points (T section 6.1.1)."""
+        return build_tree(points, leaf_size, shrink=True)
+
+    def prepare(
+        self, kernel: TaylorKernel, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+    ) -> Expansion:
+        """Choose the unit; make room for moments of `wanted` clusters of more points than terms.
+
+        They are doubles whatever `dtype` is: high derivatives leave the range of singles.
+        """
+        tables = _tables(degree, kernel.derivatives)
+        expanded = wanted & (tree.stop - tree.start > tables["summed"])
+        radius = tree.radius.max(initial=0.0)
+        scale = 2.0 ** -np.frexp(radius)[1] if radius > 0.0 else 1.0
+        contractions = np.array(kernel.contractions, np.int64).reshape(-1, 3)
+        rows = kernel.weight_size + len(contractions)
+        return Expansion(
+            **tables,
+            epsilon=float(getattr(kernel, "epsilon", 0.0)) * scale,
+            scale=scale,
+            weight_scale=scale ** np.array(kernel.weight_lengths, np.float64),
+            value_scale=scale ** np.array(kernel.value_lengths, np.float64),
+            slot=np.where(expanded, np.cumsum(expanded) - 1, -1),
+            contractions=contractions,
+            moments=np.empty((np.count_nonzero(expanded), rows, tables["summed"])),
+        )
+
+    def update(
+        self,
+        expansion: Expansion,
+        tree: Tree,
+        sources: np.ndarray,
+        weights: np.ndarray,
+        threads: Threads,
+    ) -> None:
+        """Compute the moments, T eqs. (8) and (11), divided by factorials."""
+        expansion.moments[...] = 0.0
+        fill(expansion, tree, sources, weights, threads)
 
 
-def update(
-    expansion: Expansion, tree: Tree, sources: np.ndarray, weights: np.ndarray, threads: Threads
-) -> None:
-    """Compute the moments, T eqs. (8) and (11), divided by factorials."""
-    expansion.moments[...] = 0.0
-    fill(expansion, tree, sources, weights, threads)
+METHOD = TaylorTreecode()
 
 
 @standalone
@@ -342,7 +351,7 @@ def _gather_particles(expansion, tree, cluster, sources, weights, start, stop):
 def _gather_child(expansion, tree, cluster, child):
     """Add a child's moments to its parent's: sum_{j <= k} shift^(k - j) / (k - j)! m_child^j."""
     moments = expansion.moments[expansion.slot[cluster]]
-    inner = expansion.moments[expansion.slot[child]]
+    below = expansion.moments[expansion.slot[child]]
     weight_size = moments.shape[0] - len(expansion.contractions)
     shift = np.ones(expansion.summed)
     for k in range(1, expansion.summed):
@@ -359,7 +368,7 @@ def _gather_child(expansion, tree, cluster, child):
                     j = expansion.number[j1, j2, j3]
                     power = shift[expansion.number[k1 - j1, k2 - j2, k3 - j3]]
                     for c in range(weight_size):
-                        moments[c, k] += power * inner[c, j]
+                        moments[c, k] += power * below[c, j]
 
 
 @inlined

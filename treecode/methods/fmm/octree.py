@@ -280,7 +280,7 @@ def _emit(entries, count, box):
 
 
 @inlined
-def _near_below(tree, leaf, box, worth, stack, entries, count):
+def _near_below(tree, leaf, box, expansion_size, stack, entries, count):
     """List what acts on `leaf` directly of a box of its own size that touches it."""
     stack[0] = box
     height = 1
@@ -290,7 +290,7 @@ def _near_below(tree, leaf, box, worth, stack, entries, count):
         if _count(tree.source, box) == 0:
             continue
         if not touches(tree, box, leaf):
-            proxies = _count(tree.source, box) > worth
+            proxies = _count(tree.source, box) > expansion_size
             count = _emit(entries, count, ~box if proxies else box)
         elif tree.leaf[box]:
             count = _emit(entries, count, box)
@@ -311,7 +311,7 @@ def _topmost_apart(tree, box, coarse):
 
 
 @inlined
-def _near_of(tree, leaf, worth, stack, entries):
+def _near_of(tree, leaf, expansion_size, stack, entries):
     count = 0
     for slot in range(tree.neighbour.shape[1]):
         box = tree.neighbour[leaf, slot]
@@ -319,14 +319,17 @@ def _near_of(tree, leaf, worth, stack, entries):
             if _count(tree.source, box):
                 count = _emit(entries, count, box)
         elif box >= 0:
-            count = _near_below(tree, leaf, box, worth, stack, entries, count)
+            count = _near_below(tree, leaf, box, expansion_size, stack, entries, count)
     around = tree.parent[leaf]
     while around >= 0:
         for slot in range(tree.neighbour.shape[1]):
             box = tree.neighbour[around, slot]
             if box >= 0 and tree.leaf[box] and box != around and _count(tree.source, box):
                 apart = not touches(tree, leaf, box)
-                if not apart or _count(tree.target, _topmost_apart(tree, leaf, box)) <= worth:
+                if (
+                    not apart
+                    or _count(tree.target, _topmost_apart(tree, leaf, box)) <= expansion_size
+                ):
                     count = _emit(entries, count, box)
         around = tree.parent[around]
     return count
@@ -344,10 +347,10 @@ def _just_apart(tree, box, coarse):
 
 
 @inlined
-def _coarse_of(tree, box, worth, entries):
+def _coarse_of(tree, box, expansion_size, entries):
     """List the larger leaves whose sources act on the expansion of `box`."""
     count = 0
-    if _count(tree.target, box) > worth:
+    if _count(tree.target, box) > expansion_size:
         around = tree.parent[box]
         while around >= 0:
             for slot in range(tree.neighbour.shape[1]):
@@ -359,7 +362,7 @@ def _coarse_of(tree, box, worth, entries):
 
 
 def direct_lists(
-    tree: Octree, boxes: np.ndarray, worth: int, coarse: bool, threads: Threads
+    tree: Octree, boxes: np.ndarray, expansion_size: int, coarse: bool, threads: Threads
 ) -> tuple[np.ndarray, np.ndarray]:
     """List the boxes whose sources act on some boxes not through a translation.
 
@@ -368,7 +371,7 @@ def direct_lists(
     tree : Octree
     boxes : (n,) int64
         Leaves with targets, or for `coarse` any boxes with targets.
-    worth : int
+    expansion_size : int
         An expansion stands for more points than that only.
     coarse : bool
         Whether sources act on the boxes' expansions, rather than on their targets.
@@ -383,7 +386,7 @@ def direct_lists(
     lists: dict[int, tuple[np.ndarray, np.ndarray]] = {0: (np.zeros(0, np.int64),) * 2}
 
     def find(chunk: slice) -> None:
-        lists[chunk.start] = _lists(tree, boxes[chunk], worth, coarse)
+        lists[chunk.start] = _lists(tree, boxes[chunk], expansion_size, coarse)
 
     threads(find, len(boxes), 1 + len(boxes) // _PIECES)
     counts, entries = map(np.concatenate, zip(*(lists[i] for i in sorted(lists)), strict=True))
@@ -391,7 +394,7 @@ def direct_lists(
 
 
 @compiled
-def _lists(tree, boxes, worth, coarse):
+def _lists(tree, boxes, expansion_size, coarse):
     """Return how many entries each of some boxes has, and all of them."""
     counts = np.empty(len(boxes), np.int64)
     stack = np.empty(8 * (len(tree.first) + 1), np.int64)
@@ -402,9 +405,9 @@ def _lists(tree, boxes, worth, coarse):
         count = -1
         while count < 0:
             if coarse:
-                count = _coarse_of(tree, boxes[i], worth, buffer)
+                count = _coarse_of(tree, boxes[i], expansion_size, buffer)
             else:
-                count = _near_of(tree, boxes[i], worth, stack, buffer)
+                count = _near_of(tree, boxes[i], expansion_size, stack, buffer)
             if count > len(buffer):
                 buffer = np.empty(2 * count, np.int64)
                 count = -1

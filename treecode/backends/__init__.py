@@ -1,1 +1,0 @@
-"""Ways to evaluate the sum, each a module with ``prepare`` (once) and ``update`` (a strength)."""

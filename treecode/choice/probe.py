@@ -1,0 +1,134 @@
+"""What a few targets tell of points and strengths before a sum is made, and samples after it."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from treecode.accuracy import Parts, largest, ratio
+from treecode.choice.model import Model
+from treecode.choice.refusals import CancellationError
+from treecode.choice.sampling import direct_sum
+from treecode.kernels.base import Kernel
+from treecode.methods import kitc
+from treecode.methods.base import PRECISIONS, Offer
+from treecode.methods.direct import EXACT
+from treecode.methods.registry import Choice
+
+# Takes any kernel, is quick, and is far enough off for its error to be seen. The errors of the
+# model are in units of its error: another probe asks for another fit.
+PROBE = Choice(kitc.NAME, theta=0.7, degree=3, leaf_size=500)
+
+_SINGLE = Choice(EXACT.backend, precision=PRECISIONS[1])
+
+_PILOTS = 64  # targets at which errors are looked at before a sum,
+_FEW_PILOTS = 16  # more if fewer than so many would be of a group
+_MARGIN = 1.25  # by which errors may be larger than expected
+_LEAST = 0.1  # of an expected error: a sum that has hardly a far field tells nothing of others
+_SINGLE_UNIT = 2.0**-24  # error of singles where it does not show at the pilots
+_ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
+
+
+class Probe:
+    """Points and strengths for which methods offer sums: their `methods.base.Case`.
+
+    Parameters
+    ----------
+    kernel : Kernel
+    sources, targets : (3, N) and (3, M) float64
+        One array where targets are not apart.
+    strengths : (N, strength_size) float64
+    parts : Parts
+    tol : float
+    sums : int
+        See `methods.base.Case`.
+
+    Raises
+    ------
+    CancellationError
+        If direct sums do not keep the tolerance.
+    """
+
+    def __init__(
+        self,
+        kernel: Kernel,
+        sources: np.ndarray,
+        targets: np.ndarray,
+        strengths: np.ndarray,
+        parts: Parts,
+        tol: float,
+        sums: int,
+    ) -> None:
+        self.kernel, self.sources, self.targets = kernel, sources, targets
+        self.tol, self.sums = tol, sums
+        self.memory: dict[str, Any] = {}
+        self._strengths, self._parts, self._model = strengths, parts, Model(kernel)
+        self._misses: dict[tuple[str, str], float] = defaultdict(lambda: 1.0)
+        self._drawn = parts.draw(_PILOTS, _FEW_PILOTS)
+        self._pilots = targets[:, self._drawn]
+        self._exact = self._require_digits()
+
+    def _require_digits(self) -> np.ndarray:
+        """Return direct sums at the pilots; refuse a tolerance beyond their rounding.
+
+        If every source is taken or left by chance, twice the sum differs from the sum of all as
+        if signs were random: by the size of sums that do not cancel.
+        """
+        strengths = self._strengths
+        sum_ = direct_sum(self.kernel, self.sources, self._pilots.copy())
+        exact = sum_.execute(strengths)
+        peak = largest(exact)
+        rng, spread = np.random.default_rng(0), np.zeros(())
+        for _ in range(8 if len(strengths) <= _PILOTS else 1):  # few may all be taken
+            taken = rng.integers(0, 2, (len(strengths), 1)) * strengths
+            random = (2.0 * sum_.execute(taken) - exact) / peak
+            spread = np.maximum(spread, self._parts.squares(random, self._drawn))
+        size = self._parts.squares(exact / peak, self._drawn)
+        loss = float(ratio(spread * (size > 0.0), size).max(initial=0.0))
+        if _ROUNDING * loss > self.tol:
+            why = f"contributions cancel to {1.0 / loss:.1g} of their size"
+            raise CancellationError.of(self.tol, _ROUNDING * loss, why)
+        return exact
+
+    def error_of(self, choice: Choice) -> float:
+        """Return the error of a sum at the pilots."""
+        sum_ = choice.sum(self.kernel)
+        sum_.set_points(self.sources.copy(), self._pilots.copy())
+        values = sum_.execute(self._strengths)
+        if not np.isfinite(values).all():  # beyond the range of singles
+            return math.inf
+        return float(self._parts.difference(values, self._exact, self._drawn).max())
+
+    @cached_property
+    def scale(self) -> float:
+        """By how much errors are larger here than the model says."""
+        return _MARGIN * (self.error_of(PROBE) or self._model.usual_error)
+
+    @cached_property
+    def rounding(self) -> Mapping[str, float]:
+        """Error that each precision makes by rounding; that of doubles does not count."""
+        single = _MARGIN * (self.error_of(_SINGLE) or _SINGLE_UNIT)
+        return dict(zip(PRECISIONS, (0.0, single), strict=True))
+
+    def fitted(self, name: str) -> dict[str, Any] | None:
+        """Return the numbers fitted to a method's costs and errors; None where there are none."""
+        return self._model.fitted(name)
+
+    def expected_error(self, name: str, offer: Offer) -> float:
+        """Return the error of an offer of a method, after what samples have shown."""
+        return self._misses[name, offer.kind] * offer.error
+
+    def will_do(self, name: str, offer: Offer) -> bool:
+        """Tell whether an offer should keep the tolerance."""
+        return self.expected_error(name, offer) <= self.tol
+
+    def learn(self, name: str, offer: Offer, bound: float) -> None:
+        """Expect of sums of the same kind what a sample says of one."""
+        expected = self.expected_error(name, offer)
+        miss = bound / expected if expected > 0.0 else math.inf
+        self._misses[name, offer.kind] *= max(miss, _LEAST)

@@ -1,0 +1,89 @@
+"""Errors of a sum that was made, by direct sums at some of its targets."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from treecode._lanes import LANES
+from treecode.accuracy import Error, Parts
+from treecode.kernels.base import Kernel
+from treecode.methods.base import Sum
+from treecode.methods.direct import EXACT
+from treecode.pairs import sum_few
+from treecode.threads import Threads
+from treecode.traversal import load_weights
+
+WATCHED = 16  # targets at every later sum,
+WATCHED_FROM = 10_000_000  # if it takes as long as so many pairs,
+_WATCHED_SHARE = 200  # and so many times as long as to watch them
+_ASTRAY = 2.0  # times the tolerance, from which errors there are looked into
+_PIECE = 1_000_000  # pairs, for which a thread is woken
+
+
+def direct_sum(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Sum:
+    """Return direct summation over copies of sources, (3, N), at targets, (3, M), its own."""
+    exact = EXACT.sum(kernel)
+    exact.set_points(sources.copy(), targets)
+    return exact
+
+
+def sampled_error(
+    kernel: Kernel,
+    sum_: Sum,
+    strengths: np.ndarray,
+    values: np.ndarray,
+    parts: Parts,
+    samples: int,
+    seed: int = 0,
+) -> Error:
+    """Return the error of a sum that gave `values` for `strengths`, at so many drawn targets."""
+    place = np.empty_like(sum_.target_order)
+    place[sum_.target_order] = np.arange(len(values))
+
+    def exact_at(rows: np.ndarray) -> np.ndarray:
+        exact = direct_sum(kernel, sum_.sources, sum_.targets[:, place[rows]])
+        return exact.execute(strengths[sum_.source_order])
+
+    return parts.sampled_error(values, exact_at, samples, seed)
+
+
+def seems_kept(
+    kernel: Kernel,
+    sum_: Sum,
+    tol: float,
+    strengths: np.ndarray,
+    values: np.ndarray,
+    parts: Parts,
+    rows: np.ndarray,
+    points: np.ndarray,
+) -> bool:
+    """Look at the targets `rows`, which are at `points`, (3, n): a hundredth of a long sum.
+
+    A sum that is kept while points and strengths change may lose its accuracy. `values` are those
+    that it has given for `strengths`.
+    """
+    count = sum_.sources.shape[1]
+    few = min(len(rows), int(sum_.effort / (_WATCHED_SHARE * max(1, count))))
+    if sum_.effort < WATCHED_FROM or not few:
+        return True
+    padded = np.zeros((3, few + LANES - 1))
+    padded[:, :few] = points[:, :few]
+    exact = np.zeros((kernel.value_size, few))
+    weights = np.empty((kernel.weight_size, count))
+    sources = sum_.sources
+
+    def sum_some(some: slice) -> None:
+        sum_few(kernel, padded, some.start, some.stop, sources, weights, exact)
+
+    with Threads(most=1 + few * count // _PIECE) as threads:
+        load_weights(kernel, strengths, sum_.source_order, weights, threads)
+        threads(sum_some, few, 1)
+    return parts.seem_within(_ASTRAY * tol, values, exact.T, rows[:few])
+
+
+def in_given_order(sum_: Sum) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the points of a sum, (3, N) and (3, M), in the order in which they were set."""
+    sources, targets = np.empty_like(sum_.sources), np.empty_like(sum_.targets)
+    sources[:, sum_.source_order] = sum_.sources
+    targets[:, sum_.target_order] = sum_.targets
+    return sources, None if sum_.targets is sum_.sources else targets

@@ -1,0 +1,84 @@
+"""Direct summation: the treecode whose root is a leaf that no target is far from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+
+from treecode.methods.base import KEYWORDS, PRECISIONS, Case, Offer
+from treecode.methods.registry import Choice
+from treecode.methods.walk import WalkMethod
+from treecode.threads import Threads
+from treecode.tree import Tree, build_tree
+
+NAME = "direct"
+# Nothing is more accurate: with this all errors are measured.
+EXACT = Choice(NAME, precision="float64")
+
+
+class NoExpansion(NamedTuple):
+    """Stands where the treecodes have an expansion."""
+
+    def holds(self, cluster):
+        return False
+
+    def approximate(self, kernel, tree, cluster, targets, first, last, out):
+        pass
+
+    def terms(self):
+        return 0
+
+
+class DirectSummation(WalkMethod):
+    """The sum over all pairs."""
+
+    name = NAME
+    parameters: ClassVar = {"precision": KEYWORDS["precision"]}
+
+    def seeks(self, given: Mapping[str, Any]) -> bool:
+        """Return False: there is nothing more accurate to look for."""
+        return False
+
+    def offers(self, case: Case, given: Mapping[str, Any]) -> Iterator[Offer]:
+        """Yield sums in doubles and in singles, if their cost is known."""
+        fitted = case.fitted(self.name)
+        if fitted is None:
+            return
+        pairs = case.sources.shape[1] * case.targets.shape[1]
+        for precision in PRECISIONS:
+            (rate,) = fitted["seconds"][precision]
+            parameters = {"precision": precision}
+            yield Offer(parameters, case.rounding[precision], rate * pairs, precision)
+
+    def describe(self, parameters: Mapping[str, Any]) -> str:
+        """Return the name, and the precision if it is single."""
+        return self.name + " float32" * (parameters.get("precision") == "float32")
+
+    def build(self, points: np.ndarray, leaf_size: int) -> tuple[Tree, np.ndarray]:
+        """Make one leaf of all points."""
+        return build_tree(points, max(1, points.shape[1]), shrink=False)
+
+    def far_distance2(self, tree: Tree, theta: float) -> np.ndarray:
+        """Return the distance from which a cluster is approximated: never."""
+        return np.full(len(tree.radius), np.inf)
+
+    def prepare(
+        self, kernel: object, tree: Tree, degree: int, wanted: np.ndarray, dtype: type
+    ) -> NoExpansion:
+        """Return the expansion that is never used."""
+        return NoExpansion()
+
+    def update(
+        self,
+        expansion: NoExpansion,
+        tree: Tree,
+        sources: np.ndarray,
+        weights: np.ndarray,
+        threads: Threads,
+    ) -> None:
+        """Do nothing: the sum is taken over the points themselves."""
+
+
+METHOD = DirectSummation()
