@@ -52,7 +52,7 @@ def write(name: str, experiment: ModuleType, rows: list[Row], folder: Path) -> N
     parts = [f"# {title}", text.strip(), *(f"{machine}; {when}." for machine in machines)]
     if draw(experiment, rows, folder / f"{name}.png"):
         parts.append(f"![{title}]({name}.png)")
-    parts.append(experiment.table(rows))
+    parts.append("\n".join(experiment.table(rows)))
     (folder / f"{name}.md").write_text("\n\n".join(parts) + "\n")
 
 

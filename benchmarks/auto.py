@@ -13,7 +13,6 @@ where it ended.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 import time
@@ -28,6 +27,8 @@ import numpy as np
 import treecode as tc
 from benchmarks.machine import machine_today, publish
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
+from benchmarks.rows import Row, Rows
+from mrs import markdown
 from tests.cases import tolerance
 from treecode import methods
 from treecode.methods.base import PRECISIONS
@@ -124,9 +125,9 @@ class Sum:
         return least
 
 
-def row(name: str, n: int, tol: float) -> dict[str, Any]:
-    """Return one line of the table."""
-    case = Sum(name, n)
+def compare(points: str, n: int, tol: float) -> Row:
+    """Return the cells of one line of the table, by column."""
+    case = Sum(points, n)
     chosen = tc.Plan(KERNEL, tol=tol)
     values, first = case.lap(chosen)
     *seconds, taken = case.in_turns(
@@ -138,14 +139,9 @@ def row(name: str, n: int, tol: float) -> dict[str, Any]:
             chosen,
         ]
     )
-    cells = [name, n, f"{tol:g}", *(f"{s:.3g}" for s in seconds), f"{taken:.3g}", chosen.choice]
+    cells = [points, n, f"{tol:g}", *(f"{s:.3g}" for s in seconds), f"{taken:.3g}", chosen.choice]
     cells += [f"{case.error(values):.1e}", f"{taken / min(seconds):.2f}", f"{first:.3g}"]
     return dict(zip(COLUMNS, map(str, cells), strict=True))
-
-
-def place(row: dict[str, str]) -> tuple[int, str, float]:
-    """Return by what lines are sorted."""
-    return int(row["N"]), row["points"], -float(row["tol"])
 
 
 def main() -> None:
@@ -153,31 +149,27 @@ def main() -> None:
     parser.add_argument("--points", type=int, nargs="+", default=[1000, 3000, 10_000, 80_000])
     parser.add_argument("--tol", type=float, nargs="+", default=[1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
     parser.add_argument("--sets", nargs="+", default=["cube", "sphere", "clustered"])
-    parser.add_argument("--rows", type=Path, default=Path("outputs/auto.jsonl"))
+    parser.add_argument("--rows", type=Path, default=Path("outputs/auto.json"))
     parser.add_argument("--output", type=Path, help="a file; the terminal by default")
     options = parser.parse_args()
     numba.set_num_threads(1)
-    kept = options.rows.read_text().splitlines() if options.rows.exists() else []
-    rows = {(r["points"], r["N"], r["tol"]): r for r in map(json.loads, kept)}
-    for n in options.points:
-        for name in options.sets:
-            for tol in options.tol:
-                if (name, str(n), f"{tol:g}") not in rows:
-                    new = row(name, n, tol)
-                    print(*new.values(), file=sys.stderr, flush=True)
-                    rows[name, str(n), f"{tol:g}"] = new
-                    with options.rows.open("a") as file:
-                        file.write(json.dumps(new) + "\n")
+    rows, found = Rows(options.rows), []
+    by_difficulty = sorted(options.points), sorted(options.sets), sorted(options.tol, reverse=True)
+    for n, points, tol in product(*by_difficulty):
+        case = {"points": points, "n": n, "tol": tol}
+        row = rows.find(compare, case)
+        if row is None:
+            row = rows.measure(compare, case)
+            print(*row.values(), file=sys.stderr, flush=True)
+        found.append(row)
     lines = [
         '# Backend "auto" beside the best of each backend\n',
         *__doc__.split("\n\n")[2].splitlines(),
         "`ratio` is the time of `auto` over the smallest of the four before it. `first` is its",
         "first sum, with the probe at a few targets and the sampled error.\n",
         machine_today() + ".\n",
-        "| " + " | ".join(COLUMNS) + " |",
-        "|---" * len(COLUMNS) + "|",
-        *("| " + " | ".join(r.values()) + " |" for r in sorted(rows.values(), key=place)),
-        f"\nLargest ratio: {max(float(r['ratio']) for r in rows.values()):.2f}.",
+        *markdown.table(COLUMNS, ([row[name] for name in COLUMNS] for row in found)),
+        f"\nLargest ratio: {max(float(row['ratio']) for row in found):.2f}.",
     ]
     publish(lines, options.output)
 

@@ -19,10 +19,12 @@ import numpy as np
 
 import treecode as tc
 from benchmarks.methods import DIRECT
+from mrs import markdown
 
 FLAGS = ["-O3", "-march=native", "-ffast-math"]
 EPSILON = 0.02
 PAIRS = 1.5e8  # of one measurement, by taking fewer targets
+HEADER = "kernel", "N", "C++ pairs/s", "treecode pairs/s", "ratio", "relative difference"
 
 
 def plain_loops(folder: str) -> ctypes.CDLL:
@@ -40,8 +42,8 @@ def seconds(function, *arguments) -> float:
     return time.perf_counter() - start
 
 
-def compare(kernel, plain, points: np.ndarray, repeats: int) -> None:
-    """Print one row for a kernel."""
+def compare(kernel, plain, points: np.ndarray, repeats: int) -> list[str]:
+    """Return the row of a kernel in the table."""
     n = len(points)
     m = min(n, int(PAIRS / n))
     strengths = np.random.default_rng(1).uniform(-1, 1, (n, kernel.strength_size))
@@ -58,8 +60,8 @@ def compare(kernel, plain, points: np.ndarray, repeats: int) -> None:
     difference = tc.relative_error(plan.execute(strengths), out.T)
     rates = m * n / np.median(times, axis=0)
     ratio = np.median(times[:, 0] / times[:, 1])
-    name = type(kernel).__name__
-    print(f"| {name} | {n} | {rates[0]:.2e} | {rates[1]:.2e} | {ratio:.2f} | {difference:.1e} |")
+    cells = [type(kernel).__name__, str(n), f"{rates[0]:.2e}", f"{rates[1]:.2e}"]
+    return [*cells, f"{ratio:.2f}", f"{difference:.1e}"]
 
 
 def main() -> None:
@@ -69,18 +71,19 @@ def main() -> None:
     options = parser.parse_args()
     numba.set_num_threads(1)
     print(f"One thread, medians of {options.repeats} turns; g++ {' '.join(FLAGS)}\n")
-    print("| kernel | N | C++ pairs/s | treecode pairs/s | ratio | relative difference |")
-    print("|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as folder:
         library = plain_loops(folder)
         kernels = [
             (tc.RegularizedStokeslet(EPSILON), library.regularized_stokeslet),
             (tc.RegularizedStokesletRotlet(EPSILON), library.regularized_stokeslet_rotlet),
         ]
-        for kernel, plain in kernels:
-            for n in options.points:
-                points = np.random.default_rng(0).random((n, 3))
-                compare(kernel, plain, points, options.repeats)
+        rows = (
+            compare(kernel, plain, np.random.default_rng(0).random((n, 3)), options.repeats)
+            for kernel, plain in kernels
+            for n in options.points
+        )
+        for line in markdown.table(HEADER, rows):
+            print(line, flush=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,8 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +21,8 @@ import treecode as tc
 from benchmarks import point_sets, printed
 from benchmarks.methods import KITC, TAYLOR
 from benchmarks.sums import Problem
+from benchmarks.tables import error
+from mrs import markdown
 
 TITLES = {
     "k1": "K table 1: organisms in a cube, eps = 0.02",
@@ -33,9 +36,9 @@ TITLES = {
 FIGURES = ("k2", "k3a")
 LIMIT, QUICK_LIMIT = 1_000_000, 82_000  # most points; quick keeps "80K": 80,000 and 81,920
 HEADER = (
-    "| set | N | targets | theta | degree | printed | E | ratio | E, no self | ratio "
-    "| near/target | far/target |"
-)
+    "set", "N", "targets", "theta", "degree", "printed", "E", "ratio", "E, no self", "ratio",
+    "near/target", "far/target",
+)  # fmt: skip
 
 
 class Row(NamedTuple):
@@ -49,25 +52,20 @@ class Row(NamedTuple):
     leaf_size: int
     printed: float | None
 
-    def markdown(self) -> str:
-        """Sum, and return the line."""
+    def cells(self) -> list[str]:
+        """Sum, and return the cells of the line."""
         problem, exact, own = self.problem, self.problem.exact, self.problem.self_terms
         options = {"theta": self.theta, "degree": self.degree, "leaf_size": self.leaf_size}
         plan = tc.Plan(problem.kernel, self.backend, **options)
         values = plan.set_points(problem.points, problem.targets).execute(problem.strengths)
-        error = tc.relative_error(values, exact)
+        ours = tc.relative_error(values, exact)
         without = tc.relative_error(values - own, exact - own) if own.any() else None
         count, drawn = len(problem.points), len(problem.rows)
         cells = [self.label, f"{count:,}", "all" if drawn == count else f"{drawn:,} sampled"]
-        cells += [f"{self.theta:g}", str(self.degree), number(self.printed)]
-        cells += [number(error), ratio(error, self.printed)]
-        cells += [number(without), ratio(without, self.printed)]
-        cells += [f"{plan.info()[key] / drawn:,.0f}" for key in ("near_pairs", "far_pairs")]
-        return f"| {' | '.join(cells)} |"
-
-
-def number(value: float | None) -> str:
-    return "" if value is None else f"{value:.2e}"
+        cells += [f"{self.theta:g}", str(self.degree), error(self.printed)]
+        cells += [error(ours), ratio(ours, self.printed)]
+        cells += [error(without), ratio(without, self.printed)]
+        return cells + [f"{plan.info()[key] / drawn:,.0f}" for key in ("near_pairs", "far_pairs")]
 
 
 def ratio(value: float | None, printed: float | None) -> str:
@@ -115,11 +113,11 @@ class Tables:
                     yield Row(label, problem, KITC, 0.7, 7, 2000, theirs.error)
 
     def k3(self) -> Iterator[Row]:
-        for epsilon, error in printed.K3.items() if self.limit >= 640_000 else ():
+        for epsilon, theirs in printed.K3.items() if self.limit >= 640_000 else ():
             for octant in (False, True):
                 label = f"eps {epsilon:g}, " + ("one octant" if octant else "isotropic")
                 problem = self.organisms(640_000, epsilon, octant)
-                yield Row(label, problem, KITC, 0.7, 7, 2000, error)
+                yield Row(label, problem, KITC, 0.7, 7, 2000, theirs)
 
     def k5(self) -> Iterator[Row]:
         for side in (15, 20, 30, 40, 60, 80):
@@ -127,8 +125,8 @@ class Tables:
                 kernel = tc.RegularizedStokesletRotlet(0.3)
                 problem = self.problem(kernel, *point_sets.rods(side, self.seed))
                 theirs = printed.K5.get(side)
-                error = theirs.error if theirs else None
-                yield Row(f"{side} x {side}", problem, KITC, 0.7, 7, 1000, error)
+                their_error = theirs.error if theirs else None
+                yield Row(f"{side} x {side}", problem, KITC, 0.7, 7, 1000, their_error)
 
     def t1(self) -> Iterator[Row]:
         for level in (6, 7):
@@ -146,8 +144,8 @@ class Tables:
     def taylor(self, size: int, label: str, problem: Problem) -> Iterator[Row]:
         for theta in (0.2, 0.5, 0.8):
             for order in printed.ORDERS:
-                error = printed.taylor(size, theta, order)[1]
-                yield Row(label, problem, TAYLOR, theta, order, 2000, error)
+                theirs = printed.taylor(size, theta, order)[1]
+                yield Row(label, problem, TAYLOR, theta, order, 2000, theirs)
 
     def k2(self) -> Iterator[Row]:
         if self.limit >= 640_000:
@@ -193,6 +191,15 @@ def notes(tables: Tables) -> Iterator[str]:
     yield "outward, or given to other particles. See benchmarks/point_sets.py."
 
 
+def summed(name: str, rows: Iterable[Row]) -> Iterator[list[str]]:
+    """Yield the cells of rows, and tell how it is going."""
+    start = time.perf_counter()
+    for count, row in enumerate(rows, 1):
+        yield row.cells()
+        seconds = time.perf_counter() - start
+        print(f"{name}: {count} rows, {seconds:.0f} s", file=sys.stderr, flush=True)
+
+
 def parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=TITLES, metavar="NAME", help=", ".join(TITLES))
@@ -221,17 +228,13 @@ def main() -> None:
         write(line)
     for name in names:
         write(f"\n## {TITLES[name]}\n")
-        index = -1
-        start = time.perf_counter()
-        for index, row in enumerate(getattr(tables, name)()):
-            if index == 0:
-                write(HEADER)
-                write("|---" * (HEADER.count("|") - 1) + "|")
-            write(row.markdown())
-            seconds = time.perf_counter() - start
-            print(f"{name}: {index + 1} rows, {seconds:.0f} s", file=sys.stderr, flush=True)
-        if index < 0:
+        rows = getattr(tables, name)()
+        first = next(rows, None)
+        if first is None:
             write(f"All of it is beyond {limit:,} points.")
+            continue
+        for line in markdown.table(HEADER, summed(name, chain([first], rows))):
+            write(line)
 
 
 if __name__ == "__main__":

@@ -30,8 +30,10 @@ from benchmarks import sums
 from benchmarks.machine import machine_today, publish
 from benchmarks.methods import KITC, TAYLOR
 from benchmarks.point_sets import CUBE_DENSITY, CUBE_SIDE
+from mrs import markdown
 
 LEAF_SIZE = 2000
+HEADER = "sum", "N", "program", "s", "E", "over the first"
 # In place of their direct sum: what they have, in their order.
 END = """
     FILE *out = fopen("values", "wb");
@@ -138,8 +140,8 @@ def programs(points: int) -> dict[str, Published]:
 
 def compare(
     backend: str, published: Published, code: Path, flags: list[list[str]], turns: int
-) -> Iterator[str]:
-    """Yield a row for each program, ours first."""
+) -> Iterator[list[str]]:
+    """Yield the cells of a row for each program, ours first."""
     ours = [
         sums.Sum(backend=backend, leaf_size=LEAF_SIZE, **published.case | options)
         for options in published.ours
@@ -161,7 +163,7 @@ def compare(
         seconds = np.array([seconds for seconds, _ in row])
         ratio = np.median(seconds / np.array([s for s, _ in rows[0]]))
         cells = [backend, f"{n:,}", title, f"{np.median(seconds):.3g}", f"{row[-1][1]:.2e}"]
-        yield "| " + " | ".join([*cells, f"{ratio:.2f}"]) + " |"
+        yield [*cells, f"{ratio:.2f}"]
 
 
 def main() -> None:
@@ -177,12 +179,13 @@ def main() -> None:
     title, _, *explained = inspect.cleandoc(__doc__ or "").split("\n\n")
     lines = [f"# {title.rstrip('.')}\n", *explained]
     lines.append(f"\n{machine_today()}; medians of {options.turns} turns.\n")
-    lines.append("| sum | N | program | s | E | over the first |\n|---|---|---|---|---|---|")
     flags = [flag.split() for flag in options.flags]
+    rows: list[list[str]] = []
     for backend in options.sums:
         points = options.points or {KITC: 640_000, TAYLOR: 1_000_000}[backend]
         published = programs(points)[backend]
-        lines += compare(backend, published, options.code, flags, options.turns)
+        rows += compare(backend, published, options.code, flags, options.turns)
+    lines += markdown.table(HEADER, rows)
     publish(lines, options.output)
 
 

@@ -1,4 +1,4 @@
-"""What has been measured, kept in a file, so that a run can be stopped and goes on."""
+"""Results of measurements, kept in a file, so that a run can be stopped and goes on."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.machine import machine
+from mrs.output.atomic import replacing
 
 Row = dict[str, Any]
 """A case, its parameters by name, together with its result."""
@@ -36,6 +37,10 @@ class Rows:
     def _key(measurement: str, case: Row) -> str:
         return json.dumps([measurement, case], sort_keys=True)
 
+    @staticmethod
+    def _row(line: Row) -> Row:
+        return line["case"] | line["result"] | {"machine": line["machine"], "date": line["date"]}
+
     def find(self, measure: Callable[..., Row], case: Row, *, anywhere: bool = False) -> Row | None:
         """Return a case with its result, None if it is not known on this machine (or `anywhere`).
 
@@ -44,19 +49,23 @@ class Rows:
         line = self._lines.get(self._key(measure.__name__, case))
         if line is None or not (anywhere or line["machine"] == self.machine):
             return None
-        return case | line["result"] | {"machine": line["machine"], "date": line["date"]}
+        return self._row(line)
 
-    def measure(self, measure: Callable[..., Row], case: Row) -> None:
-        """Measure a case, and write the file before anything else can happen."""
-        self._lines[self._key(measure.__name__, case)] = {
+    def measure(self, measure: Callable[..., Row], case: Row) -> Row:
+        """Measure a case, and `keep` the result before anything else can happen."""
+        return self.keep(measure, case, measure(**case))
+
+    def keep(self, measure: Callable[..., Row], case: Row, result: Row) -> Row:
+        """Write a result that `measure` has given for a case, and return it with the case."""
+        line = self._lines[self._key(measure.__name__, case)] = {
             "measurement": measure.__name__,
             "case": case,
-            "result": measure(**case),
+            "result": result,
             "machine": self.machine,
             "date": datetime.date.today().isoformat(),
         }
         self.path.parent.mkdir(parents=True, exist_ok=True)
         text = ",\n".join(json.dumps(line) for line in self._lines.values())
-        part = self.path.with_suffix(".part")
-        part.write_text(f"[\n{text}\n]\n")
-        part.replace(self.path)
+        with replacing(self.path) as temporary:
+            temporary.write_text(f"[\n{text}\n]\n")
+        return self._row(line)

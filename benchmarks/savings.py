@@ -21,14 +21,16 @@ import mrs
 import treecode as tc
 from benchmarks.machine import machine_today, publish
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
+from mrs import markdown
 from mrs.profile import STAGES, Profile
 from treecode.methods import taylor
 
 STEPS = 10
 TURNS = 9
+IMPORTED = "numpy", "numba", "treecode", "mrs", "mrs, scipy.spatial", "mrs, pyvista, meshio"
 EULER = mrs.Integrator("euler", dt=1e-6)
-KITC = mrs.Backend(KITC, theta=0.7, degree=5, leaf_size=1000)
-FMM = mrs.Backend(FMM, tolerance=1e-4)
+BY_KITC = mrs.Backend(KITC, theta=0.7, degree=5, leaf_size=1000)
+BY_FMM = mrs.Backend(FMM, tolerance=1e-4)
 
 
 def swimmers(count: int) -> mrs.Simulation:
@@ -77,21 +79,21 @@ def profiles() -> Iterator[str]:
     """Yield the lines of a table: a row a stage, a column a scene."""
     scenes = {
         "8000 swimmers": profiled(swimmers(8000)),
-        "15 x 15 rods, kitc": profiled(rods(15, KITC)),
-        "15 x 15 rods, fmm": profiled(rods(15, FMM)),
+        "15 x 15 rods, kitc": profiled(rods(15, BY_KITC)),
+        "15 x 15 rods, fmm": profiled(rods(15, BY_FMM)),
         "16000 tracers": profiled(tracers(16000)),
     }
     steps = scenes.values()
-    yield "| ms a step | " + " | ".join(scenes) + " |"
-    yield "|---|" + "---|" * len(scenes)
+    rows = []
     for stage, meaning in STAGES.items():
         if any(stage in step.seconds for step in steps):
             times = [step.seconds.get(stage) for step in steps]
             cells = ["" if t is None else f"{1e3 * t:.2f}" for t in times]
-            yield f"| {stage}: {meaning} | " + " | ".join(cells) + " |"
-    yield "| points | " + " | ".join(str(step.points) for step in steps) + " |"
-    for what in ("near", "far"):
-        yield f"| pairs {what} | " + " | ".join(f"{s.pairs.get(what, 0):,}" for s in steps) + " |"
+            rows.append([f"{stage}: {meaning}", *cells])
+    rows.append(["points", *(str(step.points) for step in steps)])
+    for part in ("near", "far"):
+        rows.append([f"pairs {part}", *(f"{step.pairs.get(part, 0):,}" for step in steps)])
+    return markdown.table(["ms a step", *scenes], rows)
 
 
 def compared(*actions: Callable[[], object]) -> list[float]:
@@ -181,22 +183,27 @@ def possible() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]
 
 def table(rows: Iterator[tuple[str, Callable[[], object], Callable[[], object]]]) -> Iterator[str]:
     """Yield the lines of a table of savings."""
-    yield "| saving | with (ms) | without (ms) | ratio |\n|---|---|---|---|"
-    for what, saving, wasting in rows:
+
+    def line(row: tuple[str, Callable[[], object], Callable[[], object]]) -> list[str]:
+        title, saving, wasting = row
         less, more = compared(saving, wasting)
-        yield f"| {what} | {less:.3g} | {more:.3g} | {more / less:.2f} |"
+        return [title, f"{less:.3g}", f"{more:.3g}", f"{more / less:.2f}"]
+
+    return markdown.table(["saving", "with (ms)", "without (ms)", "ratio"], map(line, rows))
 
 
 def imports() -> Iterator[str]:
-    """Yield the lines of a table: how long it takes to import what, in a new process."""
-    yield "| imported | s |\n|---|---|"
-    for what in ("numpy", "numba", "treecode", "mrs", "mrs, scipy.spatial", "mrs, pyvista, meshio"):
+    """Yield the lines of a table: how long it takes to import packages, in a new process."""
+
+    def line(packages: str) -> list[str]:
         times = []
         for _ in range(TURNS):
             start = time.perf_counter()
-            subprocess.run([sys.executable, "-c", f"import {what}"], check=True)
+            subprocess.run([sys.executable, "-c", f"import {packages}"], check=True)
             times.append(time.perf_counter() - start)
-        yield f"| {what} | {median(times):.2f} |"
+        return [packages, f"{median(times):.2f}"]
+
+    return markdown.table(["imported", "s"], map(line, IMPORTED))
 
 
 def main() -> None:

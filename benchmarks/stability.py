@@ -1,4 +1,4 @@
-"""What is asked at the limits, what happened, and the bound: the cases of tests/cases/stability.py.
+"""What is asked at the limits, what happened, and the bound: the cases of tests/cases/stability.
 
 python -m benchmarks.stability [--quick] [--output FILE]
 """
@@ -13,10 +13,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.machine import machine_today, publish
-from tests.cases import stability
+from mrs import markdown
+from tests.cases.stability import CASES
+from tests.cases.stability.findings import Case
+from tests.cases.stability.sums import THETA
 
 
-def section(case: stability.Case, explained: bool) -> Iterator[str]:
+def section(case: Case, explained: bool) -> Iterator[str]:
     """Yield the lines of one case; those of one function are `explained` once."""
     start = time.perf_counter()
     findings = case.findings()
@@ -24,9 +27,8 @@ def section(case: stability.Case, explained: bool) -> Iterator[str]:
     yield f"\n## {case.heading}\n"
     if not explained:
         yield inspect.cleandoc(case.function.__doc__ or "") + "\n"
-    yield "| asked | found | bound |\n|---|---|---|"
-    for finding in findings:
-        yield str(finding) if finding.holds() else f"{finding} **out of bounds** |"
+    rows = ([*f.cells(), *([] if f.holds() else ["**out of bounds**"])] for f in findings)
+    yield from markdown.table(["asked", "found", "bound"], rows)
 
 
 def main() -> None:
@@ -38,11 +40,11 @@ def main() -> None:
         "# Stability\n",
         "Each case asks for something at a limit. The tables have the number that was found, and",
         "its bound. A rounding is 2^-53. Theta is",
-        f"{stability.THETA} where no other is named.\n",
+        f"{THETA} where no other is named.\n",
         f"{machine_today()}.",
     ]
     functions = []
-    for case in stability.CASES:
+    for case in CASES:
         if not (options.quick and case.slow):
             lines += section(case, case.function in functions)
             functions.append(case.function)

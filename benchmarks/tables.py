@@ -1,23 +1,17 @@
-"""Tables in Markdown."""
+"""Cells of the tables in Markdown."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from benchmarks.methods import FMM, TAYLOR
 from benchmarks.rows import Row
+from mrs import markdown
 
 CASE = "points,N,backend,parameters"
 Printed = tuple[float | None, float | None]
 """Seconds and error, None where a paper prints none."""
-
-
-def table(header: Iterable[str], lines: Iterable[Iterable[str]]) -> str:
-    """Return a table."""
-    header = list(header)
-    rows = [header, ["---"] * len(header), *map(list, lines)]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def figure(value: Any, digits: int = 3) -> str:
@@ -61,21 +55,20 @@ def case(row: Row) -> list[str]:
     return [row["points"], f"{row['n']:,}", row["backend"], options(row)]
 
 
-def beside(rows: list[Row], name: str, paper: Callable[[Row], Printed]) -> str:
-    """Return a table of sums beside what a paper prints for them."""
-    header = f"{CASE},E,*: E,build (s),seconds,*: seconds,* / ours"
-    lines = []
-    for row in rows:
+def beside(rows: list[Row], name: str, paper: Callable[[Row], Printed]) -> Iterator[str]:
+    """Yield the lines of a table of sums beside the numbers that a paper prints for them."""
+
+    def line(row: Row) -> list[str]:
         theirs, their_error = paper(row)
-        lines.append(
-            [
-                *case(row),
-                error(row["error"]),
-                error(their_error),
-                build(row),
-                seconds(row),
-                figure(theirs),
-                ratio(theirs, row["seconds"]),
-            ]
-        )
-    return table(header.replace("*", name).split(","), lines)
+        return [
+            *case(row),
+            error(row["error"]),
+            error(their_error),
+            build(row),
+            seconds(row),
+            figure(theirs),
+            ratio(theirs, row["seconds"]),
+        ]
+
+    header = f"{CASE},E,*: E,build (s),seconds,*: seconds,* / ours"
+    return markdown.table(header.replace("*", name).split(","), map(line, rows))

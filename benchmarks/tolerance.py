@@ -11,20 +11,20 @@ one thread.
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
 from tqdm import tqdm
 
 from benchmarks.machine import machine_today, publish
+from benchmarks.rows import Row, Rows
+from mrs import markdown
 from tests.cases import apart, tolerance
 
 PROMISE = """## What a tolerance promises
@@ -51,7 +51,9 @@ beside those of the group they may be off by more.
 ## Measured
 """
 
-CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
+HEADER = "class", "", "cases", "within", "largest error / asked", "median"
+
+CLASSES: dict[str, Callable[[Row], str]] = {
     "kernel": lambda row: row["kernel"],
     "points": lambda row: row["points"],
     "strengths": lambda row: row["strengths"],
@@ -60,7 +62,7 @@ CLASSES: dict[str, Callable[[dict[str, Any]], str]] = {
     "done by": lambda row: row["choice"].partition("(")[0],
 }
 
-APART: dict[str, Callable[[dict[str, Any]], str]] = {
+APART: dict[str, Callable[[Row], str]] = {
     **{name: CLASSES[name] for name in ("kernel", "points", "strengths", "asked", "done by")},
     "targets": lambda row: row["place"],
     "groups": lambda row: "two" if row["grouped"] else "one",
@@ -68,7 +70,7 @@ APART: dict[str, Callable[[dict[str, Any]], str]] = {
 }
 
 
-def solve(seed: int, largest: int) -> dict[str, Any]:
+def solve(seed: int, largest: int) -> Row:
     """Return one case, what was chosen for it, and the error."""
     numba.set_num_threads(1)
     case = tolerance.Case.draw(seed, largest)
@@ -78,7 +80,7 @@ def solve(seed: int, largest: int) -> dict[str, Any]:
     return case._asdict() | {"choice": str(plan.choice), "error": error, "seconds": seconds}
 
 
-def solve_apart(seed: int, largest: int) -> dict[str, Any]:
+def solve_apart(seed: int, largest: int) -> Row:
     """Return one case of targets apart, what was chosen for it, and the error."""
     numba.set_num_threads(1)
     case = apart.Apart.draw(seed, 1000, largest)
@@ -88,20 +90,14 @@ def solve_apart(seed: int, largest: int) -> dict[str, Any]:
     return case._asdict() | {"choice": choice, "error": error, "seconds": seconds}
 
 
-def table(
-    rows: list[dict[str, Any]], classes: dict[str, Callable[[dict[str, Any]], str]]
-) -> list[str]:
-    """Return the lines of the table."""
-    lines = ["| class | | cases | within | largest error / asked | median |", "|---" * 6 + "|"]
+def summary(rows: list[Row], classes: dict[str, Callable[[Row], str]]) -> Iterator[list[str]]:
+    """Yield the cells of a line for each class of cases."""
     for title, classify in {"all": lambda row: "", **classes}.items():
         for name in sorted({classify(row) for row in rows}):
             ratios = [row["error"] / row["tol"] for row in rows if classify(row) == name]
             within = np.mean(np.array(ratios) <= 1.0)
-            lines.append(
-                f"| {title} | {name} | {len(ratios)} | {within:.1%} | {max(ratios):.2f} | "
-                f"{np.median(ratios):.2g} |"
-            )
-    return lines
+            cells = [title, name, str(len(ratios)), f"{within:.1%}", f"{max(ratios):.2f}"]
+            yield [*cells, f"{np.median(ratios):.2g}"]
 
 
 def about(count: int, largest: int) -> list[str]:
@@ -128,6 +124,18 @@ def about_apart(count: int, largest: int) -> list[str]:
     ]
 
 
+def solve_missing(rows: Rows, solve_one: Callable[..., Row], cases: list[Row]) -> None:
+    """Solve the cases that have no row, one on each processor at a time."""
+    missing = [case for case in cases if rows.find(solve_one, case) is None]
+    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
+        solved = {pool.submit(solve_one, **case): case for case in missing}
+        for future in tqdm(as_completed(solved), total=len(missing), unit="case"):
+            row = future.result()
+            rows.keep(solve_one, solved[future], row)
+            if row["error"] > row["tol"]:
+                print(row, file=sys.stderr, flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--apart", action="store_true", help="targets apart from the sources")
@@ -139,23 +147,14 @@ def main() -> None:
     count = options.cases or (100 if options.apart else 500)
     largest = options.largest or (20_000 if options.apart else 200_000)
     name = "tolerance-apart" if options.apart else "tolerance"
-    path = options.rows or Path(f"outputs/{name}.jsonl")
-    kept = path.read_text().splitlines() if path.exists() else []
-    rows = {row["seed"]: row for row in map(json.loads, kept)}
-    missing = [seed for seed in range(count) if seed not in rows]
+    rows = Rows(options.rows or Path(f"outputs/{name}.json"))
+    cases = [{"seed": seed, "largest": largest} for seed in range(count)]
     one = solve_apart if options.apart else solve
-    with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        solved = [pool.submit(one, seed, largest) for seed in missing]
-        for future in tqdm(as_completed(solved), total=len(missing), unit="case"):
-            row = future.result()
-            rows[row["seed"]] = row
-            with path.open("a") as file:
-                file.write(json.dumps(row) + "\n")
-            if row["error"] > row["tol"]:
-                print(row, file=sys.stderr, flush=True)
-    head = about_apart(len(rows), largest) if options.apart else about(len(rows), largest)
-    classes = APART if options.apart else CLASSES
-    lines = [*head, machine_today() + ".\n", *table(list(rows.values()), classes)]
+    solve_missing(rows, one, cases)
+    done = [row for case in cases if (row := rows.find(one, case)) is not None]
+    head = about_apart(count, largest) if options.apart else about(count, largest)
+    lines = [*head, machine_today() + ".\n"]
+    lines += markdown.table(HEADER, summary(done, APART if options.apart else CLASSES))
     publish(lines, options.output)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import threading
 import time
 from collections import defaultdict
@@ -9,8 +11,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import NamedTuple
 
+from mrs import markdown
+
 STAGES = {
-    "start": "the first evaluation: compiling, or loading what is compiled; choosing backends",
+    "start": "the first evaluation: compiling, or loading compiled code; choosing backends",
     "tree": "points sorted into boxes",
     "operators": "of the fast multipole method, built or read",
     "weights": "strengths in tree order; of treecodes also the expansions of all clusters",
@@ -19,9 +23,9 @@ STAGES = {
     "downward": "from cubes to their children",
     "near": "points to points",
     "far": "expansions to points",
-    "walk": "what else the walk down the tree takes; all of it without a counter of cycles",
-    "sums": "what else the sums take: copies, checks",
-    "forces": "of the bodies, and their motion from that of the fluid",
+    "walk": "the rest of the walk down the tree; all of it without a counter of cycles",
+    "sums": "the rest of the sums: copies, checks",
+    "forces": "of the bodies, and their motion from the motion of the fluid",
     "background": "flow without the bodies",
     "integrator": "local coordinates, combinations of stages, step sizes",
     "error samples": "the sums compared with direct ones at a few targets",
@@ -41,8 +45,9 @@ class Row(NamedTuple):
 class Profile:
     """Seconds by stage (`STAGES`), of all that a simulation has done so far.
 
-    Stages may be open within others. The time of the inner one is not also that of the outer, so
-    that all together give the time during which any was open: in `Simulation.run`, all of it.
+    Stages may be open within others. The time of the inner one does not count for the outer one
+    too, so that all together give the time during which any was open: in `Simulation.run`, all of
+    it.
 
     Attributes
     ----------
@@ -61,7 +66,13 @@ class Profile:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count what is done inside as one stage."""
+        """Count the time inside for one stage.
+
+        Parameters
+        ----------
+        name : str
+            One of `STAGES`.
+        """
         if self._elsewhere():
             yield
             return
@@ -75,7 +86,15 @@ class Profile:
             self._open.pop()
 
     def divide(self, seconds: Mapping[str, float], near: int, far: int) -> None:
-        """Give parts of the time of the innermost stage, measured there, to others; count pairs."""
+        """Give parts of the time of the innermost stage, measured there, to others; count pairs.
+
+        Parameters
+        ----------
+        seconds : dict of float
+            By stage.
+        near, far : int
+            Pairs, and terms of expansions.
+        """
         if self._elsewhere():
             return
         self._note()
@@ -106,19 +125,17 @@ class Profile:
         """Return a Markdown table."""
         rows = self.rows()
         total = sum(row.seconds for row in rows)
-        lines = ["| stage | seconds | % | pairs | what |", "|---|---|---|---|---|"]
+        lines = []
         for row in rows:
             pairs = "" if row.pairs is None else f"{row.pairs:.3g}"
             share = 100.0 * row.seconds / total if total else 0.0
-            lines.append(
-                f"| {row.stage} | {row.seconds:.3f} | {share:.1f} | {pairs} | {STAGES[row.stage]} |"
-            )
-        return "\n".join([*lines, f"| all | {total:.3f} | 100.0 | | |"])
+            cells = [row.stage, f"{row.seconds:.3f}", f"{share:.1f}", pairs, STAGES[row.stage]]
+            lines.append(cells)
+        lines.append(["all", f"{total:.3f}", "100.0", "", ""])
+        return "\n".join(markdown.table(("stage", "seconds", "%", "pairs", "meaning"), lines))
 
     def csv(self) -> str:
         """Return the same for programs: stage, seconds, pairs."""
-        lines = [
-            f"{row.stage},{row.seconds},{'' if row.pairs is None else row.pairs}"
-            for row in self.rows()
-        ]
-        return "\n".join(["stage,seconds,pairs", *lines]) + "\n"
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows([Row._fields, *self.rows()])
+        return text.getvalue()

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs.output import checkpoint, vtkhdf
+from mrs.output import checkpoint
 from mrs.output.checkpoint import Checkpoints
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli, scenario_files, signals
 from mrs.run.resuming import scenario_of
 
@@ -245,7 +246,7 @@ def test_ctrl_c_again_and_again(tmp_path):
 
 def frames(run):
     """Return the times of the frames of a run."""
-    with vtkhdf.Trajectory(run / "cilia.vtkhdf") as file:
+    with Trajectory(run / "cilia.vtkhdf") as file:
         return file.times.tolist()
 
 

@@ -10,7 +10,8 @@ import pytest
 import pyvista as pv
 
 import mrs
-from mrs.output import checkpoint, vtkhdf
+from mrs.output import checkpoint
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 
 
@@ -48,7 +49,7 @@ def test_export(finished, tmp_path):
     """A file a frame, which the other program reads."""
     assert cli.main(["export", str(finished), "--format", "vtu", "--output", str(tmp_path)]) == 0
     files = sorted(tmp_path.rglob("*.vtu"))
-    with vtkhdf.Trajectory(finished / "flagellum.vtkhdf") as trajectory:
+    with Trajectory(finished / "flagellum.vtkhdf") as trajectory:
         assert len(files) == len(trajectory) == 3
         for number, file in enumerate(files):
             points = meshio.read(file).points
@@ -83,7 +84,7 @@ def test_resume(finished, tmp_path, capsys):
     shutil.copytree(finished, directory)
     assert cli.main(["resume", str(directory), "--t-end", "0.15"]) == 0
     assert f"{directory}: t = 0.15, " in capsys.readouterr().out
-    with vtkhdf.Trajectory(directory / "flagellum.vtkhdf") as trajectory:
+    with Trajectory(directory / "flagellum.vtkhdf") as trajectory:
         np.testing.assert_allclose(trajectory.times, [0.0, 0.05, 0.1, 0.15], rtol=1e-15)
 
 
@@ -123,7 +124,7 @@ def test_restart_goes_on_as_if_there_had_been_no_stop(tmp_path):
     assert values["integrator"] == values2["integrator"]
     np.testing.assert_equal(arrays, arrays2)
     for name in ("swimmers.vtkhdf", "tracers.vtkhdf"):
-        with vtkhdf.Trajectory(whole / name) as one, vtkhdf.Trajectory(halves / name) as other:
+        with Trajectory(whole / name) as one, Trajectory(halves / name) as other:
             np.testing.assert_array_equal(one.times, other.times)
             for frame in range(len(one)):
                 np.testing.assert_array_equal(one.points(frame), other.points(frame))

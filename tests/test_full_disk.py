@@ -13,7 +13,8 @@ import pytest
 
 from mrs.output import log, vtkhdf
 from mrs.output.atomic import WriteError
-from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.output.topology import Topology
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 from tests.test_runs import assert_equal_runs
 

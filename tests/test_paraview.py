@@ -12,8 +12,11 @@ import pytest
 import pyvista as pv
 
 import mrs
+from mrs.output import paraview, pvd
 from mrs.output.export import export
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
+from mrs.output.vtp import read_pvd
+from tests.cases.trajectories import RODS, rods_frame
 
 
 def script(directory, formats=("vtkhdf",)):
@@ -47,7 +50,7 @@ class Filter(types.SimpleNamespace):
         return self.Input.PointData
 
 
-def paraview(reads_vtkhdf):
+def stand_in(reads_vtkhdf):
     """Return a stand-in for paraview.simple; with False or "empty" it is one before 5.12."""
     module = types.ModuleType("paraview.simple")
     module.opened, module.filters = [], []
@@ -85,7 +88,7 @@ def paraview(reads_vtkhdf):
 
 
 def run_macro(directory, monkeypatch, reads_vtkhdf):
-    module = paraview(reads_vtkhdf)
+    module = stand_in(reads_vtkhdf)
     package = types.ModuleType("paraview")
     package.simple = module
     monkeypatch.setitem(sys.modules, "paraview", package)
@@ -144,3 +147,32 @@ def test_macro_says_what_to_do(tmp_path, monkeypatch, capsys):
     for name in ("rods", "swimmers", "tracers"):
         assert f"{name}.vtkhdf: no points read. ParaView before 5.12 cannot" in said
     assert f"`mrs export {tmp_path}` writes frames" in said
+
+
+def test_live_frames_read_back(tmp_path):
+    path = tmp_path / "rods.pvd"
+    assert pvd.cut(path, 1.0) is None
+    for i in range(4):
+        points, at_points, at_cells = rods_frame(i)
+        pvd.append(path, 0.1 * i, RODS, points, at_points, at_cells)
+    reader = pv.get_reader(path)
+    assert reader.time_values == [0.1 * i for i in range(4)]
+    reader.set_active_time_point(3)
+    mesh = reader.read()[0]
+    np.testing.assert_array_equal(mesh.points, rods_frame(3)[0])
+    np.testing.assert_array_equal(mesh["velocity"], rods_frame(3)[1]["velocity"])
+    np.testing.assert_array_equal(mesh["bending_energy"], rods_frame(3)[2]["bending_energy"])
+    assert mesh.n_lines == 3
+    assert pvd.cut(path, 0.15) == 0.1
+    assert sorted(p.name for p in (tmp_path / "rods").iterdir()) == ["000000.vtp", "000001.vtp"]
+    pvd.append(path, 0.2, RODS, rods_frame(2)[0])
+    times = [time for time, _ in read_pvd(path)]
+    assert times == [0.0, 0.1, 0.2]
+
+
+def test_macro_compiles(tmp_path):
+    path = paraview.write_macro(tmp_path)
+    assert path == tmp_path / "paraview" / "open_in_paraview.py"
+    source = path.read_text()
+    compile(source, path, "exec")
+    assert repr(str(tmp_path)) in source

@@ -13,7 +13,8 @@ import pytest
 from mrs.output import camera, colors, vtkhdf
 from mrs.output import render as module
 from mrs.output.render import render
-from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.output.topology import Topology
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 
 SIZE = (320, 200)
@@ -332,14 +333,6 @@ def test_everything_is_in_the_picture():
         rim = np.abs((points - center) @ axes.T / ahead[:, None]) / slopes
         assert rim.max() < 1.02
         assert rim.max() > 0.9
-
-
-def test_dark_background(tmp_path):
-    rods(tmp_path, frames=1)
-    render(tmp_path, tmp_path / "a.png", background="#101010", size=SIZE)
-    image = pixels(tmp_path / "a.png")
-    assert (image[0, 0] < 30).all()
-    assert (image[160:].min(axis=-1) > 150).any()  # light ink
 
 
 def test_refusals(tmp_path):

@@ -13,8 +13,9 @@ import pytest
 
 import mrs
 from mrs.fluid.mobility import Mobility
-from mrs.output import checkpoint, export, run_directory, vtkhdf
+from mrs.output import checkpoint, export, run_directory
 from mrs.output.atomic import temporary_name
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 from tests.test_going_on import contents, script
 from tests.test_runs import assert_equal_runs, swim, trajectories
@@ -318,7 +319,7 @@ def test_readers_in_the_same_process_stop_nothing(tmp_path, monkeypatch, locking
 
         def handle(self, sim):
             path = read / "fibre.vtkhdf"
-            self.held.append((sim.time, h5py.File(path, "r"), vtkhdf.Trajectory(path)))
+            self.held.append((sim.time, h5py.File(path, "r"), Trajectory(path)))
 
     sim, reader = script(read), Reader()
     sim.trackers.append(reader)
@@ -341,6 +342,6 @@ def test_positions_far_from_the_origin_are_stored_exactly(tmp_path):
     tracers = mrs.Tracers(points)
     options = {"output": mrs.Output(tmp_path / "run", interval=1.0)}
     mrs.Simulation(mrs.Fluid(), [tracers], **options).run(1.0)
-    with vtkhdf.Trajectory(tmp_path / "run" / "tracers.vtkhdf") as file:
+    with Trajectory(tmp_path / "run" / "tracers.vtkhdf") as file:
         assert file.points(0).dtype == np.float64
         np.testing.assert_array_equal(file.points(0), points)

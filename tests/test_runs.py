@@ -15,6 +15,7 @@ import pytest
 import mrs
 from mrs.fluid.mobility import Mobility
 from mrs.output import checkpoint, vtkhdf
+from mrs.output.trajectory import Trajectory
 from mrs.run import cli, scenario_files
 
 SCENE = Path(__file__).parents[1] / "docs" / "scene.toml"
@@ -35,7 +36,7 @@ def trajectories(directory):
     """Return times, points and arrays of all frames of all files of a run."""
     found = {}
     for path in sorted(directory.glob("*.vtkhdf")):
-        with vtkhdf.Trajectory(path) as file:
+        with Trajectory(path) as file:
             numbers = range(len(file))
             arrays = [(file.points(i), file.point_data(i), file.cell_data(i)) for i in numbers]
             found[path.name] = (file.times, arrays)
@@ -142,7 +143,7 @@ def test_interrupt_leaves_a_checkpoint(tmp_path):
 
 def test_frames_are_at_multiples_of_the_interval_and_at_the_end(tmp_path):
     assert cli.main(swim(tmp_path / "r", 0.52)) == 0
-    with vtkhdf.Trajectory(tmp_path / "r" / "flagellum.vtkhdf") as file:
+    with Trajectory(tmp_path / "r" / "flagellum.vtkhdf") as file:
         np.testing.assert_array_equal(file.times, [*(0.05 * np.arange(11)), 0.52])
 
 

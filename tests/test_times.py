@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mrs
-from mrs.output import vtkhdf
+from mrs.output.trajectory import Trajectory
 from mrs.time.interrupts import next_stop
 
 
@@ -86,7 +86,7 @@ def tracer(t_end, interval, tmp_path, **options):
 
 def frames_and_rows(tmp_path):
     """Return the times of frames and of rows of the log."""
-    with vtkhdf.Trajectory(tmp_path / "tracers.vtkhdf") as file:
+    with Trajectory(tmp_path / "tracers.vtkhdf") as file:
         frames, last = file.times.tolist(), file.points(-1)
     with (tmp_path / "log.csv").open() as file:
         rows = [float(row["t"]) for row in csv.DictReader(file)]
@@ -269,7 +269,7 @@ def test_a_run_stops_before_it_writes_a_rod_torn_apart(tmp_path):
         sim.run(1.0)
     extent = np.ptp(sim.state.positions, axis=0).max()
     assert extent < 3.0
-    with vtkhdf.Trajectory(tmp_path / "rods.vtkhdf") as file:
+    with Trajectory(tmp_path / "rods.vtkhdf") as file:
         assert len(file) > 1
         assert np.abs(file.points(-1)).max() < 3.0
         assert file.times[-1] == pytest.approx(sim.time)

@@ -17,6 +17,7 @@ import mrs
 from benchmarks import plots, point_sets, tables
 from benchmarks.methods import KITC, TAYLOR
 from benchmarks.rows import Row
+from mrs import markdown
 
 STEPS, DT = 5, 1e-6
 
@@ -50,10 +51,10 @@ def step_carpet(rods: int) -> Row:
 measure = step_carpet
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each carpet."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each carpet."""
     header = "rods,nodes,sums a step,seconds a step,outside the sums (s),outside (%)"
-    return tables.table(header.split(","), map(_line, rows))
+    return markdown.table(header.split(","), map(_line, rows))
 
 
 def _line(row: Row) -> list[str]:

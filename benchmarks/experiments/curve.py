@@ -19,6 +19,7 @@ from typing import Any
 from benchmarks import plots, printed, sums, tables
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.one_sum
 
@@ -66,10 +67,10 @@ def treecode(backend: str, theta: float, degree: int, leaf_size: int = 2000) -> 
     return {"backend": backend, "theta": theta, "degree": degree, "leaf_size": leaf_size}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum, by N and error."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum, by N and error."""
     header = "N,backend,parameters,E,build (s),points (s),total (s),near,far,precision"
-    return tables.table(header.split(","), _lines(rows))
+    return markdown.table(header.split(","), _lines(rows))
 
 
 def _lines(rows: list[Row]) -> Iterator[list[str]]:

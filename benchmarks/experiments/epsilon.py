@@ -14,6 +14,7 @@ from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
 from benchmarks.methods import FMM, KITC
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.one_sum
 
@@ -27,10 +28,10 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": FMM, "tol": 3e-5}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = "N,epsilon,backend,parameters,E,K: E,seconds"
-    return tables.table(header.split(","), map(_line, rows))
+    return markdown.table(header.split(","), map(_line, rows))
 
 
 def _line(row: Row) -> list[str]:

@@ -32,8 +32,8 @@ def cases(quick: bool) -> Iterator[Row]:
         yield from (common | {"backend": FMM, "tol": tol} for tol in TOLERANCES[: 2 - quick])
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     return tables.beside(rows, "K", lambda row: of_paper(row, printed.K1, row["n"]))
 
 

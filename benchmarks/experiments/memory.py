@@ -17,6 +17,7 @@ from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import treecode
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.peak_memory
 
@@ -38,10 +39,10 @@ def cases(quick: bool) -> Iterator[Row]:
         yield from (common | treecode(TAYLOR, 0.5, order) for order in orders)
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = f"{tables.CASE},MB,of direct,paper: MB,paper: of direct"
-    return tables.table(header.split(","), (_line(row, rows) for row in rows))
+    return markdown.table(header.split(","), (_line(row, rows) for row in rows))
 
 
 def _line(row: Row, rows: list[Row]) -> list[str]:

@@ -33,8 +33,8 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": FMM, "tol": TOLERANCE}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     return tables.beside(rows, "K", lambda row: growth.of_paper(row, printed.K5, row["size"]))
 
 

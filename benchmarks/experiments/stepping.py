@@ -22,6 +22,7 @@ import mrs
 from benchmarks import plots, sums, tables
 from benchmarks.methods import DIRECT
 from benchmarks.rows import Row
+from mrs import markdown
 
 
 class Scene(NamedTuple):
@@ -125,11 +126,11 @@ def _reference(name: str) -> np.ndarray:
 measure = run_scene
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each run, by scene and error."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each run, by scene and error."""
     header = "scene,integrator,step,steps taken,evaluations,error,seconds"
     ordered = sorted(rows, key=lambda row: (row["scene"], -row["error"]))
-    return tables.table(header.split(","), map(_line, ordered))
+    return markdown.table(header.split(","), map(_line, ordered))
 
 
 def _line(row: Row) -> list[str]:

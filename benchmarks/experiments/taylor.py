@@ -48,8 +48,8 @@ def cases(quick: bool) -> Iterator[Row]:
             yield from (common | {"backend": FMM, "tol": tol} for tol in TOLERANCES[points])
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     return tables.beside(rows, "T", _paper)
 
 

@@ -14,6 +14,7 @@ from benchmarks import plots, printed, sums, tables
 from benchmarks.experiments.curve import SINGLE, treecode
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.on_threads
 
@@ -37,13 +38,13 @@ def cases(quick: bool) -> Iterator[Row]:
     yield cube | treecode(TAYLOR, 0.5, 6) | SINGLE
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = (
         f"{tables.CASE},E,1 thread (s),2 threads (s),times as fast,efficiency (%),"
         "paper: 1 core (s),paper: 2 cores (s),paper: efficiency (%)"
     )
-    return tables.table(header.split(","), map(_line, rows))
+    return markdown.table(header.split(","), map(_line, rows))
 
 
 def _line(row: Row) -> list[str]:

@@ -16,6 +16,7 @@ from benchmarks.experiments.curve import treecode
 from benchmarks.methods import FMM, KITC
 from benchmarks.point_sets import UNEVEN
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = sums.one_sum
 
@@ -28,10 +29,10 @@ def cases(quick: bool) -> Iterator[Row]:
         yield common | {"backend": FMM, "tol": 1e-3}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = f"{tables.CASE},E,build (s),seconds,a point beside the cube"
-    return tables.table(header.split(","), (_line(row, rows) for row in rows))
+    return markdown.table(header.split(","), (_line(row, rows) for row in rows))
 
 
 def _line(row: Row, rows: list[Row]) -> list[str]:

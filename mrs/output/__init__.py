@@ -1,1 +1,1 @@
-"""Files of a run: trajectories, checkpoints, the log, and what is made of them afterwards."""
+"""Files of a run: trajectories, checkpoints, the log; pictures and exports of them."""

@@ -12,16 +12,16 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class WriteError(OSError):
-    """A file could not be written; the message names it and says what to do."""
+    """A file could not be written; the message names it and a remedy."""
 
 
 class DamagedError(ValueError):
-    """A file that is cut short, damaged, or not what it should be.
+    """A file that is cut short, damaged, or of another kind than it should be.
 
     Attributes
     ----------
     reason : str
-        What is wrong: the message without the file's name, and without the remedy.
+        The fault: the message without the file's name, and without the remedy.
     """
 
     def __init__(self, path: Path, reason: str, remedy: str = "") -> None:
@@ -31,7 +31,12 @@ class DamagedError(ValueError):
 
 @contextmanager
 def telling(path: Path) -> Iterator[None]:
-    """Say which file it was if a write fails, and what to do if the disk is full.
+    """Name the file if a write fails, and a remedy if the disk is full.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file that is written inside.
 
     Raises
     ------
@@ -76,12 +81,23 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def temporary_name(path: Path) -> Path:
-    """Return what a file is called until it is whole; a run that is killed leaves it behind."""
+    """Return the name of a file until it is whole; a run that is killed leaves it behind.
+
+    Parameters
+    ----------
+    path : Path
+        Of the whole file.
+    """
     return path.with_name(f".{path.stem}.partial{path.suffix}")
 
 
 def sync(path: Path) -> None:
-    """Wait until the contents of a file are on the disk."""
+    """Wait until the contents of a file are on the disk.
+
+    Parameters
+    ----------
+    path : Path
+    """
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -90,6 +106,12 @@ def sync(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Wait until the names in a folder are on the disk, where the system has such a call."""
+    """Wait until the names in a folder are on the disk, where the system has such a call.
+
+    Parameters
+    ----------
+    path : Path
+        Of the folder.
+    """
     if os.name == "posix":
         sync(path)

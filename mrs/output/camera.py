@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 
 _VIEW = np.array([0.5, -1.0, 0.45])  # from where one looks at the scene
 ANGLE = 30.0  # degrees that the camera sees, up
 TIP = 2.6  # radii from the centre of a swimmer's head to the tip of its arrow
 _MARGIN = 0.06  # of the picture, free on each side
 _FOOT = 0.12  # of the picture, free for the bar of colours
-_SAMPLE = 1_000_000  # points that say what the picture must hold
+_SAMPLE = 1_000_000  # points that the picture is fitted to, at most
 Camera = Sequence[Any]
 Places = list[int]  # of one frame in the file of each body
 
@@ -22,7 +22,7 @@ Places = list[int]  # of one frame in the file of each body
 class Stage(NamedTuple):
     """Where the bodies stand, alike in all frames.
 
-    What is drawn is measured from the centre of the scene, in lengths of its longest side: singles,
+    All places are measured from the centre of the scene, in lengths of its longest side: singles,
     which graphics computes with, serve any unit of length, and any distance from the origin.
     """
 
@@ -31,7 +31,6 @@ class Stage(NamedTuple):
     camera: Camera
     foot: float  # of the picture, free for the bar
     size: tuple[int, int]
-    background: str
 
 
 def stage_of(
@@ -39,22 +38,32 @@ def stage_of(
     frames: list[Places],
     camera: Camera | None,
     size: tuple[int, int],
-    background: str,
 ) -> Stage:
-    """Set up the camera; without one given, all frames fit into the picture above the bar."""
+    """Return the stage; without a camera given, all frames fit into the picture above the bar.
+
+    Parameters
+    ----------
+    bodies : list of Trajectory
+    frames : list of list of int
+        Of each frame, its place in the file of each body.
+    camera : (position, focal point, up) or None
+        Three numbers each.
+    size : (width, height)
+        In pixels.
+    """
     points, reach = _points(bodies, frames), _reach(bodies)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
     if camera is not None:
         *places, up = np.asarray(camera, np.float64)
         view = [*((place - middle) / extent for place in places), up]
-        return Stage(middle, extent, view, 0.0, size, background)
+        return Stage(middle, extent, view, 0.0, size)
     towards = _VIEW / np.linalg.norm(_VIEW)
     slope = np.tan(np.radians(ANGLE / 2)) * (1 - _MARGIN)
     slopes = np.array([slope * size[0] / size[1], slope * (1 - _FOOT)])
     center, distance = _fit((points - middle) / extent, towards, slopes, reach / extent)
     view = [center + distance * towards, center, (0, 0, 1)]
-    return Stage(middle, extent, view, _FOOT, size, background)
+    return Stage(middle, extent, view, _FOOT, size)
 
 
 def _points(bodies: list[Trajectory], frames: list[Places]) -> np.ndarray:
@@ -90,7 +99,7 @@ def _fit(
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(towards, right)])
     center, distance = (points.min(axis=0) + points.max(axis=0)) / 2, 1.0
-    for _ in range(5):  # to move the center changes what is near, and so what is at the rim
+    for _ in range(5):  # moving the center changes which points are near, and so at the rim
         depth, seen = (points - center) @ towards, (points - center) @ axes.T
         distance = np.max(depth[:, None] + reach + (np.abs(seen) + reach) / slopes) or 1.0
         rim = seen / np.maximum(distance - depth, 1e-6 * distance)[:, None]

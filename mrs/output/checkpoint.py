@@ -99,7 +99,13 @@ def load(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str,
 
 
 def previous(path: Path) -> Path:
-    """Return the name of the checkpoint before the one called `path`."""
+    """Return the name of the checkpoint before the last one.
+
+    Parameters
+    ----------
+    path : Path
+        Of the last one.
+    """
     return path.with_suffix(f".previous{path.suffix}")
 
 

@@ -7,14 +7,31 @@ from typing import NamedTuple
 import numpy as np
 
 from mrs.output.camera import Places
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 
 _DEFAULT_FIELD = "velocity"
 _TRANSIENT = 2.0  # times as far as three quarters of the frames reach
 
 
 def colors_of(bodies: list[Trajectory], frames: list[Places], color_by: str | None) -> Colors:
-    """Find the range of colours of all frames."""
+    """Find the range of colours of all frames.
+
+    They span the values in all frames, but for a transient: a frame that reaches more than twice as
+    far as three quarters of the frames do is left out, and the title says how far it reaches.
+
+    Parameters
+    ----------
+    bodies : list of Trajectory
+    frames : list of list of int
+        Of each, its place in the file of each body.
+    color_by : str or None
+        An array at points or cells; "velocity", if there is such an array, by default.
+
+    Raises
+    ------
+    ValueError
+        If no body has the array; the message names those that there are.
+    """
     field = _DEFAULT_FIELD if color_by is None else color_by
     ranges, vector = [], False
     for places in frames:
@@ -55,7 +72,7 @@ def _without_transient(ranges: np.ndarray) -> tuple[float, float]:
 
 
 class Colors(NamedTuple):
-    """What is coloured, alike in all frames."""
+    """The array that is shown by colours, and its range, alike in all frames."""
 
     field: str | None
     range: tuple[float, float]
@@ -63,7 +80,20 @@ class Colors(NamedTuple):
 
 
 def field_at_points(body: Trajectory, i: int, name: str) -> np.ndarray | None:
-    """Return an array at points; one at cells is carried to the points of each cell."""
+    """Return an array at points; one at cells is carried to the points of each cell.
+
+    Parameters
+    ----------
+    body : Trajectory
+    i : int
+        Place of the frame in the file of the body.
+    name : str
+
+    Returns
+    -------
+    (n,) or (n, k) ndarray, or None
+        None if the body has no such array.
+    """
     at_points, at_cells = body.point_data(i), body.cell_data(i)
     if name in at_points or name not in at_cells:
         return at_points.get(name)
@@ -77,5 +107,11 @@ def field_at_points(body: Trajectory, i: int, name: str) -> np.ndarray | None:
 
 
 def magnitude(values: np.ndarray) -> np.ndarray:
+    """Return numbers as they are, and the lengths of vectors, as doubles.
+
+    Parameters
+    ----------
+    values : (n,) or (n, k) ndarray
+    """
     values = values.astype(np.float64)  # squares of large singles are beyond their range
     return np.linalg.norm(values, axis=1) if values.ndim == 2 else values

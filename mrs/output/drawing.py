@@ -9,7 +9,7 @@ import numpy as np
 
 from mrs.output.camera import ANGLE, TIP, Places, Stage
 from mrs.output.colors import Colors, field_at_points, magnitude
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _COLORS = {"rods": "#3b6ea5", "swimmers": "#c8553d", "tracers": "#8a8f98"}
 _COLOR_MAP = "viridis"
+_PAPER, _INK = "white", "#303030"
 _LIGHTS = (((-1, 1, 2), 0.75), ((2, 0.5, 1), 0.35), ((0, -1, 1), 0.2))  # positions, intensities
 _SHARP = {"smooth_shading": True, "split_sharp_edges": True}
 _MATERIAL: dict[str, Any] = {
@@ -31,12 +32,21 @@ _Shapes = list[tuple[Any, dict[str, Any]]]  # meshes, and how to draw them
 
 
 def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Stage) -> np.ndarray:
-    """Return a frame as pixels."""
+    """Return a frame as pixels, (height, width, 3) uint8.
+
+    Parameters
+    ----------
+    bodies : list of Trajectory
+    places : list of int
+        Of the frame in the file of each body.
+    colors : Colors
+    stage : Stage
+    """
     import pyvista as pv
 
     plotter: Any = pv.Plotter(off_screen=True, window_size=list(stage.size), lighting="none")
     try:
-        plotter.set_background(stage.background)
+        plotter.set_background(_PAPER)
         plotter.enable_anti_aliasing("ssaa")
         for position, intensity in _LIGHTS:
             light = pv.Light(position=position, light_type="camera light", intensity=intensity)
@@ -67,10 +77,9 @@ def _add_body(plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, sta
 
 
 def _add_legend(plotter: Any, time: str, colors: Colors) -> None:
-    """Say what the time is and what the colours mean, in letters that fit the picture."""
+    """Write the time and the meaning of the colours, in letters that fit the picture."""
     import pyvista as pv
 
-    ink = "#303030" if sum(pv.Color(plotter.background_color).int_rgb) > 380 else "#e8e8e8"
     width, height = plotter.window_size
     letter = max(12, round(height / 40))
     texts = [(time, "left", (letter, letter))]
@@ -89,13 +98,13 @@ def _add_legend(plotter: Any, time: str, colors: Colors) -> None:
             position_y=0.02,
             label_font_size=round(0.9 * letter),
             unconstrained_font_size=True,
-            color=ink,
+            color=_INK,
         )
         bar.SetBarRatio(0.02 / (0.03 + 1.2 * letter / height))
         bar.SetTextPositionToSucceedScalarBar()
     for words, side, place in texts:
         text = pv.Text(words, position=place)
-        text.prop.font_size, text.prop.color = letter, ink
+        text.prop.font_size, text.prop.color = letter, _INK
         text.prop.justification_horizontal = side
         plotter.add_actor(text, render=False)
 

@@ -15,7 +15,8 @@ import numpy as np
 from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.frames import Frames, trajectory_paths
-from mrs.output.vtkhdf import Topology, Trajectory
+from mrs.output.topology import Topology
+from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata, write_pvd, write_xml
 
 if TYPE_CHECKING:
@@ -75,23 +76,31 @@ def export(
     files: list[Path] = []
     lists: list[Path] = []
     for path in paths:
-        with Trajectory(path) as trajectory:
-            known = Frames([trajectory])
-            numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
-            own = {i: destination / f"{path.stem}_{i:06d}.{suffix}" for i in numbers}
-            made = [destination / f"{path.stem}.pvd"] if suffix in _WITH_LIST else []
-            run_directory.note_made(directory, *own.values(), *made)
-            for i, file in own.items():
-                _write(trajectory, i, file)
-        files += own.values()
-        ours = re.compile(rf"{re.escape(path.stem)}_\d{{6,}}\.{suffix}")
-        for old in set(destination.iterdir()).difference(files):
-            if ours.fullmatch(old.name):
-                old.unlink()
-        for file in made:
-            write_pvd(file, [(known.times[i], file.name) for i, file in own.items()])
-        lists += made
+        with Trajectory(path) as body:
+            made, listed = _export_body(Path(directory), body, wanted, destination, suffix)
+        files += made
+        lists += listed
     return files + lists
+
+
+def _export_body(
+    directory: Path, body: Trajectory, wanted: list[int] | None, destination: Path, suffix: str
+) -> tuple[list[Path], list[Path]]:
+    """Write frames of one body; return their files, and the .pvd that lists them if it has one."""
+    name, known = body.path.stem, Frames([body])
+    numbers = known.numbers if wanted is None else [known.number(i) for i in wanted]
+    files = {i: destination / f"{name}_{i:06d}.{suffix}" for i in numbers}
+    lists = [destination / f"{name}.pvd"] if suffix in _WITH_LIST else []
+    run_directory.note_made(directory, *files.values(), *lists)
+    for i, file in files.items():
+        _write(body, i, file)
+    ours = re.compile(rf"{re.escape(name)}_\d{{6,}}\.{suffix}")
+    for old in set(destination.iterdir()).difference(files.values()):
+        if ours.fullmatch(old.name):
+            old.unlink()
+    for path in lists:
+        write_pvd(path, [(known.times[i], file.name) for i, file in files.items()])
+    return [*files.values()], lists
 
 
 def _write(trajectory: Trajectory, i: int, file: Path) -> None:

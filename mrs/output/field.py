@@ -6,12 +6,17 @@ import os
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs.output.vtp import write_xml
+
+if TYPE_CHECKING:
+    import pyvista as pv
+
+_ROOM = 0.2  # on each side of the box of the points, in lengths of its longest side
 
 
 class Grid(NamedTuple):
@@ -38,48 +43,33 @@ class Grid(NamedTuple):
         return self.origin + self.spacing * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
 
 
-def grid_around(
-    points: ArrayLike,
-    *,
-    spacing: float | None = None,
-    resolution: int = 40,
-    padding: float = 0.2,
-) -> Grid:
-    """Return a grid around points, centred on their box.
+def grid_around(points: ArrayLike, resolution: int) -> Grid:
+    """Return a grid around points, centred on their box, with room on each side of it.
 
     Parameters
     ----------
     points : (n, 3) array_like
-    spacing : float, optional
-        Distance of neighbours in the grid; by default from `resolution`.
-    resolution : int, optional
+    resolution : int
         Number of grid points along the longest side, at least 2.
-    padding : float, optional
-        Room on each side, in lengths of the longest side of the box of the points.
 
     Raises
     ------
     ValueError
-        If there are no points, they coincide and no spacing is given, or an argument is out of
-        its range.
+        If there are no points, if they coincide, or if the resolution is less than 2.
     """
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise ValueError(f"points must have shape (n, 3) with n > 0, got {points.shape}")
-    if resolution < 2 or padding < 0 or (spacing is not None and not spacing > 0):
-        raise ValueError(
-            "resolution must be at least 2, padding not negative and spacing positive, "
-            f"got {resolution}, {padding} and {spacing}"
-        )
+    if resolution < 2:
+        raise ValueError(f"resolution must be at least 2, got {resolution}")
     low, high = points.min(axis=0), points.max(axis=0)
-    size = high - low + 2 * padding * (high - low).max()
-    if spacing is None:
-        spacing = float(size.max()) / (resolution - 1)
-        if spacing == 0:
-            raise ValueError("points must not coincide, unless spacing is given")
+    size = high - low + 2 * _ROOM * (high - low).max()
+    spacing = float(size.max()) / (resolution - 1)
+    if spacing == 0:
+        raise ValueError("points must not coincide")
     nx, ny, nz = (int(np.ceil(side / spacing * (1 - 1e-12))) + 1 for side in size)
     corner = (low + high - spacing * (np.array([nx, ny, nz]) - 1)) / 2
-    return Grid(corner, float(spacing), (nx, ny, nz))
+    return Grid(corner, spacing, (nx, ny, nz))
 
 
 def seeds_in(points: ArrayLike, count: int) -> np.ndarray:
@@ -165,25 +155,8 @@ def streamlines(
 
     velocity = _rows("velocity", velocity, grid)
     fastest = float(np.linalg.norm(velocity, axis=1).max()) or 1.0
-    # VTK bounds steps and the error of a line by lengths: all are in spacings here, and speeds in
-    # the largest, so that units do not matter.
-    image = pv.ImageData(dimensions=grid.dimensions)
-    image.point_data["velocity"] = velocity / fastest
     places = (np.asarray(seeds, np.float64) - grid.origin) / grid.spacing
-    lines = image.streamlines_from_source(
-        pv.PolyData(places),
-        vectors="velocity",
-        integration_direction="both",
-        max_length=4.0 * (max(grid.dimensions) - 1),
-        step_unit="l",
-        initial_step_length=0.05,
-        min_step_length=1e-3,
-        max_step_length=0.5,  # a step that would leave the grid ends the line before it
-        max_steps=10_000,
-        max_error=1e-6,
-        terminal_speed=0.0,
-        compute_vorticity=False,
-    )
+    lines = _traced(grid.dimensions, velocity / fastest, places)
     if lines.n_lines:
         lines.points = grid.origin + grid.spacing * lines.points.astype(np.float64)
         data = lines.point_data
@@ -195,6 +168,33 @@ def streamlines(
         reason = "they leave the grid at once" if velocity.any() else "the fluid is at rest"
         warnings.warn(f"no streamlines through {len(places)} seeds: {reason}", stacklevel=2)
     write_xml(Path(path), lines)
+
+
+def _traced(
+    dimensions: tuple[int, int, int], velocity: np.ndarray, seeds: np.ndarray
+) -> pv.PolyData:
+    """Return streamlines on a grid of spacing 1, of velocities of which the largest is 1.
+
+    VTK bounds steps and the error of a line by lengths: in these units all grids are alike.
+    """
+    import pyvista as pv
+
+    image = pv.ImageData(dimensions=dimensions)
+    image.point_data["velocity"] = velocity
+    return image.streamlines_from_source(
+        pv.PolyData(seeds),
+        vectors="velocity",
+        integration_direction="both",
+        max_length=4.0 * (max(dimensions) - 1),
+        step_unit="l",
+        initial_step_length=0.05,
+        min_step_length=1e-3,
+        max_step_length=0.5,  # a step that would leave the grid ends the line before it
+        max_steps=10_000,
+        max_error=1e-6,
+        terminal_speed=0.0,
+        compute_vorticity=False,
+    )
 
 
 def _rows(name: str, values: ArrayLike, grid: Grid) -> np.ndarray:

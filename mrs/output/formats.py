@@ -10,6 +10,8 @@ from mrs.output import pvd, run_directory, vtkhdf
 from mrs.output.atomic import DamagedError
 from mrs.output.frame_files import BodyFile
 from mrs.output.stored import fluid_meta
+from mrs.output.topology import Topology, same_topology
+from mrs.output.trajectory import Trajectory
 from mrs.registry import Registry
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ class VtkhdfFile(BodyFile):
 
     def times(self, sim: Simulation) -> Sequence[float]:
         points = sim.scene.layout.point_count(self.body)
-        with vtkhdf.Trajectory(self.path) as found:
+        with Trajectory(self.path) as found:
             kind = found.meta.get("kind")
             if kind != self.body.kind:
                 raise DamagedError(
@@ -42,7 +44,7 @@ class VtkhdfFile(BodyFile):
                 raise DamagedError(
                     self.path, f"is of another scene: it has {found.size} points, not {points}"
                 )
-            if not vtkhdf.same_topology(found.topology, vtkhdf.Topology(*self.body.topology())):
+            if not same_topology(found.topology, Topology(*self.body.topology())):
                 raise DamagedError(
                     self.path, "is of another scene: other points are joined by lines"
                 )
@@ -53,7 +55,7 @@ class VtkhdfFile(BodyFile):
             return vtkhdf.cut(self.path, sim.time)
         fluid = fluid_meta(sim.fluid, sim.backend.tolerance)
         meta = {"kind": self.body.kind, **run_directory.versions(), **_META, **fluid}
-        topology = vtkhdf.Topology(*self.body.topology())
+        topology = Topology(*self.body.topology())
         vtkhdf.create(self.path, topology, *sim.scene.constant_fields(self.body), meta)
         return None
 
@@ -66,7 +68,7 @@ class VtkhdfFile(BodyFile):
 
     @classmethod
     def summary(cls, path: Path) -> dict[str, Any]:
-        with vtkhdf.Trajectory(path) as file:
+        with Trajectory(path) as file:
             last = float(file.times[-1]) if len(file) else None
             return {"frames": len(file), "points": file.size, "time": last}
 
@@ -89,7 +91,7 @@ class PvdFile(BodyFile):
         pairs = zip(sim.scene.constant_fields(self.body), varying, strict=True)
         arrays = (constant | changing for constant, changing in pairs)
         run_directory.note(self.path.parent, pvd.next_frame(self.path))
-        topology = vtkhdf.Topology(*self.body.topology())
+        topology = Topology(*self.body.topology())
         pvd.append(self.path, sim.time, topology, points, *arrays)
 
     @classmethod

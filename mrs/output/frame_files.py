@@ -29,18 +29,40 @@ class FrameFile:
         self.path = path
 
     def times(self, sim: Simulation) -> Sequence[float]:
-        """Return the times of the frames; raise DamagedError if it is no file of this scene."""
+        """Return the times of the frames.
+
+        Parameters
+        ----------
+        sim : Simulation
+            That goes on with the file.
+
+        Raises
+        ------
+        DamagedError
+            If it is damaged, or no file of this scene.
+        """
         raise NotImplementedError
 
     def cut(self, sim: Simulation) -> float | None:
-        """Drop what is later than the state, and return the time of the last frame left.
+        """Drop the frames later than the state, and return the time of the last one left.
 
         A file that is missing is begun.
+
+        Parameters
+        ----------
+        sim : Simulation
+            That goes on with the file.
         """
         raise NotImplementedError
 
     def write(self, sim: Simulation) -> None:
-        """Append a frame."""
+        """Append a frame.
+
+        Parameters
+        ----------
+        sim : Simulation
+            Whose state it shows.
+        """
         raise NotImplementedError
 
     def finish(self) -> None:
@@ -75,7 +97,14 @@ class BodyFile(FrameFile):
     def summary(cls, path: Path) -> dict[str, Any]:
         """Return "frames", "points" and the last "time" of such a file, for `mrs info`.
 
-        A ValueError or an OSError says that it cannot be read.
+        Parameters
+        ----------
+        path : Path
+
+        Raises
+        ------
+        ValueError, OSError
+            If it cannot be read.
         """
         raise NotImplementedError
 
@@ -134,6 +163,7 @@ def _fault(file: FrameFile, sim: Simulation) -> str:
     except DamagedError as error:
         return error.reason
     last = max((time for time in times if time <= sim.time), default=-math.inf)
-    lost = [time for time in noted if last < time < sim.time]  # that of now is made again
+    # The frame of the present time is made again.
+    lost = [time for time in noted if last < time < sim.time]
     until = "has no frames" if last == -math.inf else f"ends at t = {last:g}"
     return f"{until}, but was written to t = {lost[-1]:g}" if lost else ""

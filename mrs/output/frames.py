@@ -8,7 +8,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from mrs.output import run_directory
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 
 
 def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
@@ -77,7 +77,12 @@ class Frames:
         ]
 
     def number(self, frame: int) -> int:
-        """Return the number of a frame that all bodies have; negative ones count from the end.
+        """Return the number of a frame that all bodies have.
+
+        Parameters
+        ----------
+        frame : int
+            Negative ones count from the end.
 
         Raises
         ------
@@ -97,5 +102,11 @@ class Frames:
         raise IndexError(f"frame: {folder} has {len(self.numbers)} frames, none number {frame}")
 
     def places(self, number: int) -> list[int]:
-        """Return where each body has a frame of `numbers` in its own file."""
+        """Return the place of a frame in the file of each body.
+
+        Parameters
+        ----------
+        number : int
+            One of `numbers`.
+        """
         return [places[self.times[number]] for places in self._places]

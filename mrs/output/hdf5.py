@@ -34,7 +34,7 @@ class File(h5py.File):
     DamagedError
         If it is cut short, or no HDF5 file.
     OSError, KeyboardInterrupt
-        From `sync` and `close`: what stopped the first write that failed.
+        From `sync` and `close`: the error that stopped the first write that failed.
     """
 
     def __init__(self, path: Path, mode: str) -> None:
@@ -67,7 +67,7 @@ class File(h5py.File):
 
 
 class _Bytes(io.FileIO):
-    """What HDF5 reads and writes; it is told that a write has failed by `failure` alone."""
+    """The bytes that HDF5 reads and writes; `failure` alone tells that a write has failed."""
 
     failure: BaseException | None = None
 

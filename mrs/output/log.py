@@ -20,6 +20,7 @@ from mrs.time.interrupts import Interval
 if TYPE_CHECKING:
     from mrs.run.simulation import Simulation
 
+_TIME = "t"  # the column with the times of the rows
 _SAME = 1e-12  # of a time: other programs write fewer digits
 
 
@@ -50,15 +51,13 @@ def append(path: str | os.PathLike[str], row: Mapping[str, Any]) -> None:
         file.write(_text(lines))
 
 
-def times(path: str | os.PathLike[str], column: str = "t") -> list[float]:
+def times(path: str | os.PathLike[str]) -> list[float]:
     """Return the times of the complete rows.
 
     Parameters
     ----------
     path : path
         A log, or the place where one will be.
-    column : str, optional
-        Where the rows have their time.
 
     Raises
     ------
@@ -70,20 +69,20 @@ def times(path: str | os.PathLike[str], column: str = "t") -> list[float]:
     if not lines:
         return []
     header, *rows = lines
-    if column not in header:
-        raise DamagedError(path, f"is no log of a run: its first line has no column {column!r}")
-    at = header.index(column)
+    if _TIME not in header:
+        raise DamagedError(path, f"is no log of a run: its first line has no column {_TIME!r}")
+    at = header.index(_TIME)
     found = []
     for number, row in enumerate(rows, 2):
         try:
             found.append(float(row[at]))
         except (IndexError, ValueError):
-            reason = f"is damaged: line {number} has no number in column {column!r}"
+            reason = f"is damaged: line {number} has no number in column {_TIME!r}"
             raise DamagedError(path, reason) from None
     return found
 
 
-def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float | None:
+def cut(path: str | os.PathLike[str], time: float) -> float | None:
     """Drop the rows later than `time`, and a last one that was not written to its end.
 
     A table that another program has saved, with a byte-order mark or line ends of its own, is
@@ -95,13 +94,11 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
         A log, or the place where one will be.
     time : float
         Of the state that the run goes on from.
-    column : str, optional
-        Where the rows have their time.
 
     Returns
     -------
     float or None
-        Time of the last row left: `time` itself if that is what its digits mean.
+        Time of the last row left: `time` itself if the digits of the row stand for it.
 
     Raises
     ------
@@ -113,9 +110,7 @@ def cut(path: str | os.PathLike[str], time: float, column: str = "t") -> float |
         return None
     header, *rows = _lines(path) or [[]]
     left = [
-        (row, t)
-        for row, t in zip(rows, times(path, column), strict=True)
-        if t <= time or _same(t, time)
+        (row, t) for row, t in zip(rows, times(path), strict=True) if t <= time or _same(t, time)
     ]
     text = _text([header, *(row for row, _ in left)]) if header else ""
     if text.encode() != path.read_bytes():

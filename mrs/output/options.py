@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrs import check
-from mrs.output import paraview
+from mrs.output import paraview, run_directory
 from mrs.output.checkpoint import Checkpoints
 from mrs.output.formats import FORMATS
 from mrs.output.frame_files import FrameFiles
@@ -72,12 +72,18 @@ class Output:
             check.function(f"columns[{name!r}]", function, "the simulation")
 
     def trackers(self, bodies: Sequence[Body]) -> list[Tracker]:
-        """Return the trackers that write a run; the first checkpoint comes before any work."""
+        """Return the trackers that write a run; the first checkpoint comes before any work.
+
+        Parameters
+        ----------
+        bodies : sequence of Body
+            Of the run.
+        """
         directory, when = Path(self.directory), Interval(float(self.interval))
         files = [FORMATS[name](directory, body) for name in self.formats for body in bodies]
         log = LogFile(directory / "log.csv", when, self.columns)
         return [
-            Checkpoints(directory / "checkpoint.h5", self.checkpoint_seconds),
+            Checkpoints(directory / run_directory.CHECKPOINT, self.checkpoint_seconds),
             paraview.Macro(directory),
             FrameFiles([*files, log], when),
         ]

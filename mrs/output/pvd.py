@@ -11,7 +11,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from mrs.output.atomic import DamagedError, telling
-from mrs.output.vtkhdf import Topology
+from mrs.output.topology import Topology
 from mrs.output.vtp import polydata, read_pvd, write_pvd, write_xml
 
 
@@ -129,7 +129,18 @@ def cut(path: str | os.PathLike[str], time: float) -> float | None:
 
 
 def summary(path: Path) -> dict[str, Any]:
-    """Return how many "frames" a list has, their "points", and the "time" of the last one."""
+    """Return how many "frames" a list has, their "points", and the "time" of the last one.
+
+    Parameters
+    ----------
+    path : Path
+        Of the list.
+
+    Raises
+    ------
+    DamagedError
+        If the list is damaged.
+    """
     files = read_pvd(path)
     if not files:
         return {"frames": 0, "points": 0, "time": None}

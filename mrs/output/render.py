@@ -19,9 +19,10 @@ from mrs.output.camera import Camera, Places, stage_of
 from mrs.output.colors import colors_of
 from mrs.output.drawing import picture
 from mrs.output.frames import Frames, trajectories
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 
 _FILMS = (".mp4", ".gif")
+_RATE = 24  # pictures a second of a film
 
 
 def render(
@@ -32,8 +33,6 @@ def render(
     color_by: str | None = None,
     camera: Camera | None = None,
     size: tuple[int, int] = (1280, 800),
-    background: str = "white",
-    fps: int = 24,
 ) -> Path:
     """Draw a run: rods as tubes, swimmers as arrows with spheres, tracers as points.
 
@@ -53,10 +52,6 @@ def render(
         Three points each; by default all frames fit into the picture.
     size : (width, height), optional
         In pixels.
-    background : str, optional
-        A colour.
-    fps : int, optional
-        Frames a second of a film.
 
     Returns
     -------
@@ -73,25 +68,19 @@ def render(
         If the suffix does not fit, or no body has the array to colour by.
     RuntimeError
         If the machine has no library to draw with.
-
-    Notes
-    -----
-    The colours of a film span what its frames reach, but for a transient: a frame that reaches more
-    than twice as far as three quarters of the frames do is left out, and the bar says how far it
-    reaches.
     """
     destination = Path(destination)
     wanted = _wanted(frame, destination)
     with trajectories(directory) as bodies:
         frames = _frames(bodies, wanted)
         colors = colors_of(bodies, frames, color_by)
-        stage = stage_of(bodies, frames, camera, size, background)
+        stage = stage_of(bodies, frames, camera, size)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
         run_directory.note_made(directory, destination)
         pictures = (picture(bodies, places, colors, stage) for places in frames)
         with replacing(destination) as temporary:
-            _write(temporary, pictures, fps)
+            _write(temporary, pictures)
     return destination
 
 
@@ -155,24 +144,24 @@ def _typed(frame: int | slice) -> str:
     return ":".join("" if end is None else str(end) for end in ends)
 
 
-def _write(destination: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
+def _write(destination: Path, pictures: Iterable[np.ndarray]) -> None:
     if destination.suffix == ".mp4":
-        _write_mp4(destination, pictures, fps)
+        _write_mp4(destination, pictures)
         return
     import imageio.v3 as imageio
 
     content = io.BytesIO()
-    options = {"duration": 1000 / fps, "loop": 0} if destination.suffix == ".gif" else {}
+    options = {"duration": 1000 / _RATE, "loop": 0} if destination.suffix == ".gif" else {}
     with imageio.imopen(content, "w", extension=destination.suffix) as file:
         for picture in pictures:
             file.write(picture, **options)
     destination.write_bytes(content.getvalue())
 
 
-def _write_mp4(destination: Path, pictures: Iterable[np.ndarray], fps: int) -> None:
+def _write_mp4(destination: Path, pictures: Iterable[np.ndarray]) -> None:
     import imageio.v2 as imageio
 
-    writer: Any = imageio.get_writer(destination, fps=fps, quality=8, macro_block_size=2)
+    writer: Any = imageio.get_writer(destination, fps=_RATE, quality=8, macro_block_size=2)
     count = 0
     with closing(writer):  # its own `with` leaves ffmpeg at work after an error
         for picture in pictures:

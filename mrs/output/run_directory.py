@@ -1,4 +1,4 @@
-"""A run directory: its configuration, what made it, and which of its files are the run's own.
+"""A run directory: its configuration, the versions that made it, and the files of the run.
 
 Every file that a run, or a command on it, writes there is noted in `files.txt`, one name a line.
 Overwriting a run deletes these and no others.
@@ -41,6 +41,10 @@ def held(directory: str | Path) -> Iterator[None]:
 
     The directory is made if it is missing, and goes again if nothing is written there.
 
+    Parameters
+    ----------
+    directory : path
+
     Raises
     ------
     FileExistsError
@@ -76,10 +80,10 @@ def begin(
     ----------
     directory : path
     recipe : dict or None
-        What builds the simulation again.
+        Scenario and options, from which the simulation can be built again.
     t_end : float
-    files : sequence of Path
-        What the run will write besides.
+    files : iterable of Path
+        That the run will write besides.
     overwrite : bool
         Whether an earlier run may be deleted.
 
@@ -151,7 +155,12 @@ def note_made(directory: str | os.PathLike[str], *files: str | Path) -> None:
 
 
 def noted(directory: str | os.PathLike[str]) -> list[Path]:
-    """Return the files that are noted as the run's own, whether they are there or not."""
+    """Return the files that are noted as the run's own, whether they are there or not.
+
+    Parameters
+    ----------
+    directory : path
+    """
     directory = Path(directory)
     listing = directory / _FILES
     header, *names = listing.read_text("utf-8").splitlines() if listing.is_file() else [""]
@@ -163,7 +172,12 @@ def noted(directory: str | os.PathLike[str]) -> list[Path]:
 
 
 def discard(directory: str | Path) -> None:
-    """Delete the files of a run, what a killed process left of them, and folders left empty."""
+    """Delete the files of a run, halves that a killed process left, and folders left empty.
+
+    Parameters
+    ----------
+    directory : path
+    """
     directory = Path(directory)
     files = noted(directory)
     listing = directory / _FILES
@@ -176,7 +190,12 @@ def discard(directory: str | Path) -> None:
 
 
 def set_aside(path: Path) -> None:
-    """Give a damaged file another name, beside it, if it is there at all."""
+    """Give a damaged file another name, beside it, if it is there at all.
+
+    Parameters
+    ----------
+    path : Path
+    """
     number = 1
     while os.path.lexists(other := path.with_name(f"{path.name}.damaged{number}")):
         number += 1
@@ -187,6 +206,10 @@ def set_aside(path: Path) -> None:
 
 def read(directory: str | Path) -> dict[str, Any]:
     """Return config.toml.
+
+    Parameters
+    ----------
+    directory : path
 
     Raises
     ------
@@ -201,7 +224,14 @@ def read(directory: str | Path) -> dict[str, Any]:
 
 
 def extend(directory: str | Path, t_end: float, files: Iterable[Path]) -> None:
-    """Note until when the run goes, and which files it writes from now on."""
+    """Note a new end of a run, and the files that it writes from now on.
+
+    Parameters
+    ----------
+    directory : path
+    t_end : float
+    files : iterable of Path
+    """
     note(directory, *files)
     content = read(directory)
     if content["run"]["t_end"] != t_end:
@@ -210,7 +240,17 @@ def extend(directory: str | Path, t_end: float, files: Iterable[Path]) -> None:
 
 
 def load_toml(path: str | Path) -> dict[str, Any]:
-    """Return the contents of a TOML file; ValueError names the file if it is none."""
+    """Return the contents of a TOML file.
+
+    Parameters
+    ----------
+    path : path
+
+    Raises
+    ------
+    ValueError
+        If it is no TOML; the message names the file.
+    """
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except ValueError as error:  # not TOML, or not UTF-8
@@ -246,7 +286,7 @@ def _write(directory: Path, content: dict[str, Any]) -> None:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of what computes, and the commit if run from a working copy."""
+    """Return the versions of the packages that compute, and the commit of a working copy."""
     found = {"mrs-treecode": __version__, "python": platform.python_version()}
     found |= {name: _version(name) for name in ("numpy", "numba", "scipy", "h5py")}
     if _git("ls-files", "--error-unmatch", __file__) is not None:
@@ -262,7 +302,7 @@ def _version(name: str) -> str:
 
 
 def _git(*arguments: str) -> str | None:
-    """Return what git says about this package's folder; None if it refuses or is not there."""
+    """Return the answer of git in this package's folder; None if it refuses or is not there."""
     command = ["git", *arguments]
     try:
         done = subprocess.run(

@@ -12,10 +12,10 @@ from mrs.fluid import Backend, Fluid, Mobility
 from mrs.fluid.flows import Flow, QuadraticFlow
 from mrs.fluid.mobility import DIRECT, Boundary, FreeSpace
 from mrs.output import frames
-from mrs.output.vtkhdf import Trajectory
+from mrs.output.trajectory import Trajectory
 
 _SAMPLE = 200  # targets, and points of each body, that errors are taken at
-_FLOW = ("constant", "gradient", "quadratic")  # what a QuadraticFlow is made of
+_FLOW = ("constant", "gradient", "quadratic")  # the numbers of a QuadraticFlow
 
 
 def fluid_meta(fluid: Fluid, tolerance: float) -> dict[str, Any]:
@@ -46,7 +46,7 @@ class FieldError(NamedTuple):
     sums: float
     """Relative error, K eq. (8.1), of the sums at targets drawn at random."""
     rounding: float
-    """Likewise, of what was rounded to single precision when it was stored."""
+    """Likewise, of the rounding to single precision when the frame was stored."""
     at_bodies: float
     """Difference from the velocities stored with the frame: median over points of the bodies, in
     root mean squares of these velocities; nan if the background is unknown."""
@@ -72,7 +72,7 @@ class StoredFrame:
     points : (N, 3) float64 ndarray
         Of all bodies.
     tolerance : float
-        Of the sums, that of the run.
+        Of the sums, as in the run.
     unknown : str or None
         Name of a background that neither the files nor the caller tell. Velocities are those of the
         disturbance by the bodies then.
@@ -86,7 +86,7 @@ class StoredFrame:
     IndexError
         If there is no such frame; the message names the files without it.
     ValueError
-        If the files do not hold what the velocity depends on, as those of earlier versions.
+        If the files lack numbers that the velocity depends on, as files of earlier versions do.
     """
 
     def __init__(
@@ -117,7 +117,18 @@ class StoredFrame:
         self._sums = self._mobility(self._sources, "auto")
 
     def velocity(self, targets: np.ndarray) -> np.ndarray:
-        """Return the velocity of the fluid at points, (M, 3)."""
+        """Return the velocity of the fluid, (M, 3).
+
+        Parameters
+        ----------
+        targets : (M, 3) float ndarray
+            Any points.
+
+        Raises
+        ------
+        ValueError
+            If the boundary is unknown.
+        """
         if self.unknown_boundary:
             raise ValueError(
                 f"boundary must be given: the run had a {self.unknown_boundary}, which files "
@@ -126,7 +137,14 @@ class StoredFrame:
         return self._at(targets, self._sources, self._sums)
 
     def error(self, targets: np.ndarray, values: np.ndarray) -> FieldError:
-        """Return how far `values`, (M, 3), of `velocity` at targets, (M, 3), may be off."""
+        """Return how far velocities may be off.
+
+        Parameters
+        ----------
+        targets : (M, 3) float ndarray
+        values : (M, 3) float ndarray
+            Of `velocity` there.
+        """
         rng = np.random.default_rng(0)
         drawn = _draw(len(targets), rng)
         exact = self._directly(targets[drawn], self._sources)
@@ -175,7 +193,7 @@ class StoredFrame:
 
 
 class _Part(NamedTuple):
-    """What a frame holds of one body, with the types of its file."""
+    """The arrays of one body in a frame, with the types of its file."""
 
     points: np.ndarray
     velocity: np.ndarray

@@ -23,7 +23,13 @@ class Tracker:
     when: Interrupt = Steps()
 
     def initialize(self, sim: Simulation) -> None:
-        """Begin; `sim.resumed` says whether an earlier run goes on."""
+        """Begin.
+
+        Parameters
+        ----------
+        sim : Simulation
+            `resumed` says whether an earlier run goes on.
+        """
 
     def handle(self, sim: Simulation) -> None:
         """Called when due, and at the end of the run."""

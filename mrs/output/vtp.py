@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs.output.atomic import DamagedError, replacing
-from mrs.output.vtkhdf import Topology
+from mrs.output.topology import Topology
 
 if TYPE_CHECKING:
     import pyvista as pv
@@ -45,7 +45,7 @@ def polydata(
 
 
 def write_xml(path: Path, data: pv.DataSet) -> None:
-    """Write a .vtp or .vti file, or what else VTK has a format for.
+    """Write a .vtp or .vti file, or another of VTK's formats in XML.
 
     VTK makes the text and Python writes it: VTK's own writing ends in a crash on a full disk.
 

@@ -104,7 +104,7 @@ def write_field(
     """
     check.integer("resolution", resolution, 2, 1000)
     stored = _stored(directory, frame)
-    grid = field.grid_around(stored.points, resolution=resolution)
+    grid = field.grid_around(stored.points, resolution)
     values = stored.velocity(grid.points)
     error = stored.error(grid.points, values)
     if error.at_bodies > _APART * (stored.tolerance + error.rounding):
