@@ -23,6 +23,7 @@ from benchmarks.machine import machine_today, publish
 from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
 from mrs import markdown
 from mrs.profile import STAGES, Profile
+from mrs.run import scenario_files
 from treecode.methods import taylor
 
 STEPS = 10
@@ -43,7 +44,7 @@ def swimmers(count: int) -> mrs.Simulation:
 def rods(side: int, backend: mrs.Backend) -> mrs.Simulation:
     """Return the beating carpet of K 8.2, side x side rods of 151 nodes."""
     options = {"rows": side, "columns": side, "nodes": 151}
-    return mrs.scenario.make("cilia_array", options).build(backend=backend, integrator=EULER)
+    return scenario_files.make("cilia_array", options).build(backend=backend, integrator=EULER)
 
 
 def tracers(count: int) -> mrs.Simulation:

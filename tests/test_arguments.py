@@ -339,7 +339,7 @@ def test_options_that_are_refused_when_built(options, message, tmp_path):
 def test_precision_of_the_sums_is_an_option(precision):
     """In scenes as in Python; singles leave an error of 1e-7."""
     given = {"backend": {"name": "direct", "precision": precision}}
-    sim = mrs.scenario.make("helical_swimmer", given, quick=True).simulation()
+    sim = scenario_files.make("helical_swimmer", given, quick=True).simulation()
     assert sim.backend == mrs.Backend("direct", precision=precision)
     now = sim.evaluate(0.0, sim.state)
     assert {info["precision"] for info in sim.mobility.infos()} == {precision}

@@ -23,6 +23,7 @@ from benchmarks import plots, sums, tables
 from benchmarks.methods import DIRECT
 from benchmarks.rows import Row
 from mrs import markdown
+from mrs.run import scenario_files
 
 
 class Scene(NamedTuple):
@@ -111,7 +112,7 @@ def run_scene(scene: str, method: str, steps: int = 0, tolerance: float = 1e-4) 
 
 def build(scene: Scene, integrator: mrs.Integrator) -> mrs.Simulation:
     """Return a scene at its start."""
-    made = mrs.scenario.make(scene.scenario, scene.options)
+    made = scenario_files.make(scene.scenario, scene.options)
     return made.build(backend=mrs.Backend(DIRECT), integrator=integrator)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -185,11 +184,10 @@ class Mobility:
         backend: Backend,
         boundary: Boundary | None = None,
     ) -> None:
-        self.backend = backend
+        self._backend = backend
         boundary = boundary or FreeSpace()
         self.lock = tc.Lock()
         self.evaluations = 0
-        self.seconds = 0.0
         self._bodies, self._spinning = bodies, spinning
         self._sums: list[_Sum] = []
         self._sources: list[tuple[tc.Term, int, np.ndarray]] = []
@@ -220,9 +218,7 @@ class Mobility:
         Both are (N, 3) where there are neither torques nor angular velocities. The latter mean
         nothing at points that do not want them.
         """
-        start = time.perf_counter()
         values = self._total(loads, self._outs(points, loads))
-        self.seconds += time.perf_counter() - start
         self.evaluations += 1
         return values
 
@@ -235,7 +231,7 @@ class Mobility:
         ):
             return outs
         for k, tolerance in enumerate(self._needed(loads, outs)):
-            if tolerance < self.backend.tolerance:  # it was sampled for that
+            if tolerance < self._backend.tolerance:  # it was sampled for that
                 before = self._sums[k].plan.choice
                 self._sums[k].refine(points, loads, tolerance, outs[k])
                 if self._sums[k].plan.choice != before:
@@ -257,7 +253,7 @@ class Mobility:
         terms = [
             self._squares(out, part.targets) for part, out in zip(self._sums, outs, strict=True)
         ]
-        return _shares(self.backend.tolerance, np.array(terms), total)
+        return _shares(self._backend.tolerance, np.array(terms), total)
 
     def _squares(self, values: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
         """Return the squares of the norms, by body, of velocities and of wanted spins."""
@@ -274,9 +270,9 @@ class Mobility:
         done as it says. Where contributions cancel to little more than the rounding of doubles,
         they are direct ones, of which nothing is more accurate, whatever their error.
         """
-        tolerance, flow = self.backend.tolerance, (points, loads, targets)
+        tolerance, flow = self._backend.tolerance, (points, loads, targets)
         outs = [self._velocity_once(flow, *part, tolerance) for part in self._sources]
-        if len(outs) > 1 and self.backend.degree is None:
+        if len(outs) > 1 and self._backend.degree is None:
             squares = np.array([[np.vdot(out, out)] for out in outs])
             total = np.sum(outs, axis=0)
             shares = _shares(tolerance, squares, np.array([np.vdot(total, total)]))
@@ -298,16 +294,10 @@ class Mobility:
         strengths = term.strengths_of(own, loads[sources, :width])
         arguments = term.kernel, term.sources_of(own), strengths, targets
         try:
-            values = tc.evaluate(*arguments, **self.backend.options(tolerance))
+            values = tc.evaluate(*arguments, **self._backend.options(tolerance))
         except tc.CancellationError:
             values = tc.evaluate(*arguments, backend=DIRECT)
         return term.flow_of(targets, values)[:, :3]
-
-    @property
-    def pairs(self) -> int:
-        """Pairs of targets with sources, or terms of expansions, in the last evaluation."""
-        infos = self.infos()
-        return sum((info["near_pairs"] or 0) + (info["far_pairs"] or 0) for info in infos)
 
     def infos(self) -> list[dict[str, Any]]:
         """Return `treecode.Plan.info` of each sum in the last evaluation."""
@@ -361,7 +351,7 @@ class Mobility:
         """Choose anew where a sum does not reach its tolerance any more; return if so."""
         before = self.choices
         outs = [part(points, loads) for part in self._sums]
-        needed = self._needed(loads, outs) if len(outs) > 1 else [self.backend.tolerance]
+        needed = self._needed(loads, outs) if len(outs) > 1 else [self._backend.tolerance]
         for part, tolerance, out in zip(self._sums, needed, outs, strict=False):
             part.refine(points, loads, tolerance, out)
         return self.choices != before
