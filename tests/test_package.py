@@ -123,3 +123,10 @@ def test_oldest_versions_are_those_that_are_tested():
 def test_numba_has_an_upper_bound():
     """`_jit` and `_lanes` use what numba may change in any release."""
     assert bounds(PROJECT["dependencies"])["numba"][1].startswith(",<")
+
+
+def test_ci_runs_tests_that_are_there():
+    run = (ROOT / ".ci" / "run").read_text()
+    files = set(re.findall(r"tests/\w+\.py", run))
+    assert len(files) >= 5
+    assert [file for file in files if not (ROOT / file).is_file()] == []
