@@ -31,6 +31,25 @@ force = [3.0, 0, 0]
 epsilon = 0.1
 """
 
+# The plugins have registered these when they were imported; other tests must not meet them.
+NAMES = (
+    (mrs.BODIES, "weights"),
+    (mrs.FORCES, "gravity"),
+    (mrs.FORMATS, "xyz"),
+    (mrs.INTEGRATORS, "ab2"),
+)
+PARTS = [registry.pop(name) for registry, name in NAMES]
+
+
+@pytest.fixture(autouse=True)
+def _registered():
+    """Have the parts in the registries for one test."""
+    for (registry, _), part in zip(NAMES, PARTS, strict=True):
+        registry.register(part)
+    yield
+    for registry, name in NAMES:
+        del registry[name]
+
 
 def scene(forces=(), **options):
     body = weights.Weights([(0.0, 0.0, 0.0)], (FORCE, 0.0, 0.0), EPSILON)
@@ -176,36 +195,19 @@ def test_all_of_them_from_toml(tmp_path, capsys):
     (plugins / "scene.toml").write_text(TOML)
     run = ["run", str(plugins / "scene.toml"), "--output"]
     whole, halves = tmp_path / "whole", tmp_path / "halves"
-    with registered_again():
-        assert cli.main([*run, str(whole)]) == 0
-        assert cli.main([*run, str(halves), "--max-walltime", "0"]) == 0
-        assert cli.main(["resume", str(halves)]) == 0
-        assert cli.main(["info", str(halves)]) == 0
-        assert "weights.xyz: 4 frames of 1 points, the last at t = 0.3" in capsys.readouterr().out
+    for registry, name in NAMES:  # the files bring their own
+        del registry[name]
+    assert cli.main([*run, str(whole)]) == 0
+    assert cli.main([*run, str(halves), "--max-walltime", "0"]) == 0
+    assert cli.main(["resume", str(halves)]) == 0
+    assert cli.main(["info", str(halves)]) == 0
+    assert "weights.xyz: 4 frames of 1 points, the last at t = 0.3" in capsys.readouterr().out
     text = (whole / "weights.xyz").read_text()
     assert text == (halves / "weights.xyz").read_text()
     frames = xyz.frames_of(whole / "weights.xyz")
     np.testing.assert_allclose([time for time, _ in frames], [0.0, 0.1, 0.2, 0.3])
     last = [float(word) for word in frames[-1][1].split()[-3:]]
     np.testing.assert_allclose(last, [0.3 * SPEED, 0.0, -0.3 * SPEED], atol=1e-12)
-
-
-class registered_again:  # noqa: N801
-    """Take the kinds out of the registries, so that a file of the same name can bring its own."""
-
-    registries = (mrs.BODIES, mrs.FORCES, mrs.FORMATS, mrs.INTEGRATORS)
-
-    def __enter__(self):
-        self.before = [dict(registry) for registry in self.registries]
-        for registry, name in zip(
-            self.registries, ("weights", "gravity", "xyz", "ab2"), strict=True
-        ):
-            del registry[name]
-
-    def __exit__(self, *_):
-        for registry, before in zip(self.registries, self.before, strict=True):
-            registry.clear()
-            registry.update(before)
 
 
 def test_columns_of_the_log(tmp_path):
