@@ -135,3 +135,28 @@ def test_inverse_sqrt_is_accurate_over_the_whole_range():
     x = np.concatenate([10 ** rng.uniform(-307, 308, 100_000), rng.uniform(1, 4, 100_000)])
     exact = 1 / np.sqrt(x.astype(np.longdouble))
     assert np.abs(call(x) / exact - 1).max() < 4.4e-16
+
+
+BITS = """
+import sys
+import numpy as np, treecode as tc
+rng = np.random.default_rng(0)
+points, forces = rng.uniform(-1, 1, (400, 3)), rng.uniform(-1, 1, (400, 3))
+for backend in sys.argv[1:]:
+    for epsilon in (1e-3, 0.1):
+        kernel, options = tc.RegularizedStokeslet(epsilon), {"degree": 5, "leaf_size": 40}
+        values = tc.evaluate(kernel, points, forces, backend=backend, theta=0.6, **options)
+        print(backend, epsilon, values.sum().hex(), np.abs(values).sum().hex())
+"""
+
+
+def test_code_that_was_compiled_and_loaded_gives_the_same_bits(tmp_path):
+    """In whatever order: a run that goes on in another process must not differ."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(ROOT)}
+    found = []
+    for order in (["taylor", "kitc"], ["taylor", "kitc"], ["kitc", "taylor"]):
+        command = [sys.executable, "-c", BITS, *order]
+        run = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+        found.append(sorted(run.stdout.splitlines()))
+    assert len(found[0]) == 4
+    assert found[0] == found[1] == found[2]

@@ -30,8 +30,10 @@ import numba
 import numpy as np
 import numpy.ma  # else by numba in the first sum: a fork at that time would hang
 from llvmlite import ir
+from llvmlite.binding import Linkage
 from numba import types
 from numba.core.caching import NullCache
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.errors import NumbaError, UnsupportedBytecodeError
@@ -138,11 +140,35 @@ class _Cache(NullCache):
             cache.prune_compiled()
 
 
+def _keep_apart() -> None:
+    """Let every function that is called from Python have its own copies of all that it calls.
+
+    numba gives these copies one name in all libraries of a process. LLVM then takes the first that
+    it meets for all of them, although each was optimised with its caller: the last bits of a sum
+    would depend on whether code was compiled or loaded, and in which order.
+    """
+    finalize = JITCodeLibrary._finalize_final_module
+
+    def finalize_apart(library: Any) -> None:
+        if library.name in _entries:
+            for function in library._final_module.functions:
+                if function.linkage == Linkage.linkonce_odr:
+                    function.linkage = Linkage.internal
+        finalize(library)
+
+    JITCodeLibrary._finalize_final_module = finalize_apart
+
+
+_entries: set[str] = set()  # names of the libraries of functions that are called from Python
+_keep_apart()
+
+
 def _cached(function: Callable, key: str | None) -> Any:
     """Compile a function that is called from Python; keep it on disk if there is a key.
 
     It leaves the interpreter to other threads.
     """
+    _entries.add(function.__qualname__)
     dispatcher = numba.njit(**_OPTIONS, forceinline=False, nogil=True)(function)
     if key is not None and not INTERPRETED:
         dispatcher._cache = _Cache(function, key)
