@@ -159,7 +159,7 @@ def _object(value: Any, inner: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def own_code(kind: type, inner: Callable[[Any], Any] = described) -> dict[str, Any]:
-    """Return what the methods of a class do, if it is the user's; empty for those of packages."""
+    """Return the code of the methods of a user's class; empty for classes of packages."""
     classes = [c for c in kind.__mro__ if c.__module__.partition(".")[0] not in _OURS]
     methods = {
         f"{c.__qualname__}.{name}": method
@@ -174,7 +174,7 @@ def own_code(kind: type, inner: Callable[[Any], Any] = described) -> dict[str, A
 
 
 def _code(function: types.FunctionType, inner: Callable[[Any], Any]) -> dict[str, Any]:
-    """Return what a function does, and the values that it takes from where it was defined."""
+    """Return the code of a function, and the values that it takes from around its definition."""
     taken: dict[str, Any] = {}
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:
