@@ -79,7 +79,7 @@ def differences(old: Any, new: Any, place: str = "") -> list[Difference]:
         old, new = ({str(i): item for i, item in enumerate(side)} for side in (old, new))
     if not (isinstance(old, dict) and isinstance(new, dict)) or "array" in {*old, *new}:
         return [] if _equal(old, new) else [Difference(place, old, new)]
-    other_python = old.get("python") != new.get("python")  # whose code is written otherwise
+    other_python = old.get("python") != new.get("python")  # with other bytecode
     keys = [k for k in dict.fromkeys([*old, *new]) if not (other_python and k in _BY_PYTHON)]
     start = f"{place}." if place else ""
     return [d for k in keys for d in differences(old.get(k), new.get(k), f"{start}{k}")]

@@ -19,7 +19,7 @@ class Body:
 
     A body owns a slice of the state: `positions`, (n, 3), which move with a velocity, and
     `quaternions`, (m, 4), m = n or 0, which turn with an angular velocity. It puts forces, and
-    torques if `has_torque`, on the fluid at its *points*, and is told the velocity there, and the
+    torques if `has_torque`, on the fluid at its *points*, and is given the velocity there, and the
     angular velocity if `has_spin`.
 
     Attributes

@@ -98,9 +98,9 @@ class Rods(Body):
     centerlines : Centerline or sequence of Centerline
         Shapes at time zero (`mrs.geometry`). A segment's rest length is its present one, along D3.
     bending : float or array_like
-        Moduli a1, a2 (force times length squared). A number is both of all rods; (rods,) is one
-        number a rod, both of it; rows [[a1, a2]], (1, 2) or (rods, 2), are the two apart. Shape
-        (2,) is refused, since it could be meant either way.
+        Moduli a1, a2 (force times length squared). A number is both moduli of all rods; (rods,)
+        has one number for both moduli of each rod; rows [[a1, a2]], (1, 2) or (rods, 2), have a
+        number for each modulus. Shape (2,) is refused, since it could be meant either way.
     twisting : float or array_like
         Modulus a3: a number for all rods, or (rods,).
     shearing : float or array_like

@@ -192,7 +192,7 @@ class Mobility:
         self._bodies, self._spinning = bodies, spinning
         self._sums: list[_Sum] = []
         self._sources: list[tuple[tc.Term, int, np.ndarray]] = []
-        # Bodies without forces are apart: among the sources they would hardly count.
+        # Bodies without forces have their own sums: among the sources their error would not count.
         together = np.where(forced, -1, bodies)
         for epsilon in np.unique(epsilons[forced]):
             for torque in (False, True):
@@ -269,9 +269,9 @@ class Mobility:
     def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return the velocity, (M, 3), at any targets, (M, 3).
 
-        The sums are chosen, and their errors sampled, for these targets; by a `degree` they are
-        done as it says. Where contributions cancel to little more than the rounding of doubles,
-        they are direct ones, of which nothing is more accurate, whatever their error.
+        The sums are chosen, and their errors sampled, for these targets; a given `degree` is used
+        as it is. If contributions cancel to little more than the rounding of doubles, the sums are
+        direct ones for any tolerance, since no others are more accurate.
         """
         tolerance, flow = self.backend.tolerance, (points, loads, targets)
         outs = [self._velocity_once(flow, *part, tolerance) for part in self._sources]

@@ -43,7 +43,7 @@ def require_whole(sim: Simulation, state: State) -> None:
 
 
 def explained(sim: Simulation, error: BaseException) -> BaseException:
-    """Return the error that the user is told of, for one that a step has raised."""
+    """Return the error for the user, in place of one that a step has raised."""
     if isinstance(error, NotFiniteError):
         name = sim.scene.layout.coordinate_name(error.row)
         return SimulationError(f"{name} is not finite {_place(sim)}")

@@ -60,7 +60,7 @@ def info(directory: str | Path) -> dict[str, Any]:
 def _file_info(kind: type[BodyFile], path: Path) -> dict[str, Any]:
     try:
         return kind.summary(path)
-    except (OSError, ValueError) as error:  # the others are told of all the same
+    except (OSError, ValueError) as error:  # the other files are reported all the same
         return {"error": str(error).removeprefix(f"{path} ")}
 
 

@@ -38,7 +38,7 @@ def frame_velocity(
     Parameters
     ----------
     directory : path
-        Of a run, whatever made it.
+        Of a run, made by a scenario or a script.
     frame : int, optional
         Its number; the last by default.
     background : Flow, optional
@@ -78,7 +78,8 @@ def write_field(
     Parameters
     ----------
     directory : path
-        Of a run, whatever made it; nothing of the scenario or the script is needed.
+        Of a run, made by a scenario or a script. The scenario is read only for a background or a
+        boundary that files cannot hold.
     frame : int, optional
         Its number; the last by default.
     resolution : int, optional

@@ -41,7 +41,7 @@ class Probe:
     ----------
     kernel : Kernel
     sources, targets : (3, N) and (3, M) float64
-        One array where targets are not apart.
+        One array if the targets are the sources.
     strengths : (N, strength_size) float64
     parts : Parts
     tol : float

@@ -72,7 +72,7 @@ class Case(Protocol):
     ----------
     kernel : Kernel
     sources, targets : (3, N) and (3, M) float64
-        The same array where targets are not apart.
+        The same array if the targets are the sources.
     tol : float
         The tolerance that is asked for.
     sums : int
@@ -120,7 +120,7 @@ class Sum(Protocol):
     effort : float
         Work of the last sum, in pairs of points.
     sources, targets : (3, N) and (3, M) float64
-        The points in whatever order suits the method; one array where targets are not apart.
+        The points, in any order; one array if the targets are the sources.
     source_order, target_order : (N,) and (M,) int
         Which of the points that were set stands at each place.
     """
@@ -147,7 +147,7 @@ class Sum(Protocol):
     def target_order(self) -> np.ndarray: ...
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
-        """Take points, (3, N) and (3, M), or no targets apart; the arrays are the sum's own now.
+        """Take points, (3, N) and (3, M) or None for the sources; the arrays are its own now.
 
         A ValueError says why a kernel or points are not taken.
         """

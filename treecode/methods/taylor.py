@@ -97,7 +97,7 @@ class Expansion(NamedTuple):
         In the unit of length.
     scale : float
         One over the unit of length, a power of two near the radius of the root: powers of distances
-        stay in the range of doubles in whatever unit the user has them.
+        stay in the range of doubles in any unit of the user.
     weight_scale, value_scale : (weight_size,) and (value_size,) float64
         Factors of weights and values due to the unit.
     exponents : (outer, 3) int64
@@ -220,7 +220,7 @@ class TaylorTreecode(Treecode):
     ) -> Expansion:
         """Choose the unit; make room for moments of `wanted` clusters of more points than terms.
 
-        They are doubles whatever `dtype` is: high derivatives leave the range of singles.
+        They are doubles for any `dtype`: high derivatives leave the range of singles.
         """
         tables = _tables(degree, kernel.derivatives)
         expanded = wanted & (tree.stop - tree.start > tables["summed"])

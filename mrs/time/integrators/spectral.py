@@ -1,4 +1,4 @@
-"""The largest eigenvalue of a Jacobian that nobody has formed."""
+"""The largest eigenvalue of a Jacobian, which is never formed as a matrix."""
 
 from __future__ import annotations
 
