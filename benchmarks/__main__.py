@@ -2,8 +2,8 @@
 
     python -m benchmarks [NAME ...] [--quick] [--draw] [--output FOLDER]
 
-What is measured stays in FOLDER/rows.json. A run that is stopped, at any time, goes on where it
-was; what is there for this machine and these versions is not measured again.
+Measurements stay in FOLDER/rows.json. A run can be stopped at any time, and the next one continues:
+rows that are there for this machine and these versions are not measured again.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(ALL)}")
     parser.add_argument("--quick", action="store_true", help="few points, to see that it works")
-    parser.add_argument("--draw", action="store_true", help="only draw what has been measured")
+    parser.add_argument("--draw", action="store_true", help="only draw earlier measurements")
     parser.add_argument("--output", type=Path, help=f"a folder; {FULL}, or {QUICK} with --quick")
     options = parser.parse_args(arguments)
     unknown = [name for name in options.names if name not in ALL]
@@ -86,7 +86,7 @@ def main(arguments: list[str] | None = None) -> None:
     for name in options.names or ALL:
         experiment = ALL[name]
         if not options.draw:
-            with threadpool_limits(1):  # of BLAS; those of the sums are the experiment's
+            with threadpool_limits(1):  # of BLAS; the experiment sets the threads of the sums
                 measure(name, experiment, rows, options.quick)
         found = find(experiment, rows, options.quick, anywhere=options.draw)
         if found:

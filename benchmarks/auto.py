@@ -1,4 +1,4 @@
-"""What backend "auto" takes beside the best of each backend, for the same error.
+"""Seconds of backend "auto" beside the best of each backend, for the same error.
 
     python -m benchmarks.auto [--points 1000 3000 ...] [--tol 1e-2 1e-4 ...] [--output FILE]
 

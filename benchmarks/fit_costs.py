@@ -4,7 +4,7 @@
 
 Random strengths in a cube and in clumps, one thread. Processor time, the least of several runs, is
 fitted by non-negative least squares of relative deviations, errors by lines in degree and digits.
-Operators of the fast multipole method are built in an empty folder, to see what that takes.
+Operators of the fast multipole method are built in an empty folder, to measure the time.
 """
 
 from __future__ import annotations

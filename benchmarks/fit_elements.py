@@ -1,7 +1,7 @@
 """The polynomials of `treecode/_elements.py`, fitted with mpmath: python -m benchmarks.fit_elements
 
-Near-minimax (Chebyshev) fits. What is printed beside each is its largest error, relative to the
-function that is made with it; half a unit of the last place is 1.1e-16 in doubles, 6e-8 in singles.
+Near-minimax (Chebyshev) fits. Beside each is printed its largest error, relative to the function
+that is made with it; half a unit of the last place is 1.1e-16 in doubles, 6e-8 in singles.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def erfc_part(u: Any) -> Any:
 
 
 def fits(bits: int) -> dict[str, tuple[Callable, Any, Any, int, Any]]:
-    """Return function, range, number of coefficients, and what errors are multiplied by."""
+    """Return function, range, number of coefficients, and the factor of errors."""
     double = bits == 64
     half = mp.log(2) / 2 * mp.mpf("1.001")  # exponents are rounded before, not exactly
     most = ((mp.sqrt(2) - 1) / (mp.sqrt(2) + 1)) ** 2 * mp.mpf("1.001")
@@ -53,7 +53,7 @@ def fits(bits: int) -> dict[str, tuple[Callable, Any, Any, int, Any]]:
 
 
 def coefficients(bits: int, name: str) -> tuple[list[float], float]:
-    """Return the coefficients of a fit from that of degree 0 on, and its error."""
+    """Return the coefficients of a fit, from degree 0 on, and its error."""
     function, first, last, count, share = fits(bits)[name]
     with mp.workdps(60):
         found, error = mp.chebyfit(function, [first, last], count, error=True, asc=True)

@@ -1,4 +1,4 @@
-"""On what something was measured, and where the page about it goes."""
+"""The machine and the versions of a measurement, and the writing of its page."""
 
 from __future__ import annotations
 

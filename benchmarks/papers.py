@@ -96,7 +96,7 @@ class Tables:
         particles into the tree and not their strengths: force k then acts at the particle that
         the sort puts at place k. Which one that is depends on the order of a file of points that
         is not published, so a random permutation stands for it. It tears the pairs apart. The
-        printed errors are not those of torn pairs: at 10K they are far smaller.
+        printed errors are not errors of torn pairs: at 10K they are far smaller.
         """
         points, forces = point_sets.organisms(n, epsilon, self.seed, octant=octant)
         if shuffle:
@@ -162,7 +162,7 @@ class Tables:
                     yield Row("one octant", problem, KITC, 0.7, degree, 2000, None)
 
     def sampling(self) -> float:
-        """Return how far values at sampled targets are from those of a full run, relatively."""
+        """Return the relative difference of values at sampled targets from values of a full run."""
         problem = self.organisms(10_000, 0.02, octant=True)
         options = {"theta": 0.7, "degree": 7, "leaf_size": 2000}
         plan = tc.Plan(problem.kernel, KITC, **options)
@@ -172,7 +172,7 @@ class Tables:
 
 
 def notes(tables: Tables) -> Iterator[str]:
-    """Yield what a reader has to know."""
+    """Yield the notes at the head of the page."""
     yield "# Errors beside the printed ones"
     yield ""
     yield f"Points have seed {tables.seed}. E is K eq. (8.1), at {tables.samples:,} random targets"

@@ -1,4 +1,4 @@
-"""What all pictures share: colours, markers, axes and legends."""
+"""The common part of all pictures: colours, markers, axes and legends."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WIDTH = 10.0  # inches, of all pictures
 
 
 def name(backend: str) -> str:
-    """Return what a legend calls a backend."""
+    """Return the name of a backend in legends."""
     return NAMES.get(backend, backend)
 
 
@@ -46,7 +46,7 @@ def envelope(rows: list[Row]) -> list[Row]:
 
 
 def line(axes: Any, rows: list[Row], x: str, y: str, color: str, label: str, style: int) -> None:
-    """Draw rows as a line in the colour of a backend or method, hollow what was extrapolated.
+    """Draw rows as a line in the colour of a backend or method, extrapolated ones hollow.
 
     `style` picks markers and dashes.
     """

@@ -31,9 +31,9 @@ def organisms(
 
     The paper leaves open how positions and directions are drawn: here bodies are uniform in the
     cube [0, 10]^3 and the flagellum may stick out of it. Isotropic directions are the plain
-    reading; with them the mean flow of the dipoles vanishes. Directions in one octant, what three
-    random numbers from [0, 1] give when normalised, leave a mean flow, and with them the errors
-    printed in K tables 1 and 3 come out within some per cent.
+    reading; with them the mean flow of the dipoles vanishes. Directions in one octant, of three
+    random numbers from [0, 1] after normalisation, leave a mean flow. With them the errors agree
+    with K tables 1 and 3 within some per cent.
     The order is body, flagellum, body, flagellum, ...
 
     Parameters
@@ -106,7 +106,7 @@ def sphere(level: int, seed: int, *, outward: bool = True) -> tuple[np.ndarray, 
         6, 7 and 8 in the paper's table 1.
     seed : int
     outward : bool, optional
-        Give every point its own normal; otherwise that of a random other one.
+        Give every point its own normal; otherwise the normal of a random other point.
 
     Returns
     -------

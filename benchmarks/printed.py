@@ -1,4 +1,4 @@
-"""What the papers print: seconds, errors and megabytes, on their machines.
+"""The numbers that the papers print: seconds, errors and megabytes, on their machines.
 
 "K" is Wang, Krasny and Tlupova (2020): icpc -O2 on a Xeon E5-2680 v3 at 2.5 GHz, theta 0.7, n = 7.
 "T" is Wang, Tlupova and Krasny (2019): orders 0, 2, ..., 10.
@@ -121,7 +121,7 @@ T_MEMORY = {
 def taylor(size: int, theta: float, order: int) -> tuple[float | None, float | None]:
     """Return seconds and error of T tables 1 and 3, None where they print none.
 
-    The seconds follow from those of the direct sum and the ratio.
+    The seconds follow from the seconds of the direct sum and the ratio.
     """
     if (size, theta) not in T or order not in ORDERS:
         return None, None

@@ -34,7 +34,7 @@ from mrs import markdown
 
 LEAF_SIZE = 2000
 HEADER = "sum", "N", "program", "s", "E", "over the first"
-# In place of their direct sum: what they have, in their order.
+# In place of their direct sum: writes their values and their order.
 END = """
     FILE *out = fopen("values", "wb");
     fwrite(particles.old_index, sizeof(size_t), N_cube, out);
@@ -57,7 +57,7 @@ class Published:
     constants : dict
         Of theirs, by name.
     ours : list of dict
-        Of ours, what differs from `case`.
+        Of ours, the options that differ from `case`.
     origin : tuple
         Of our points in their coordinates.
     factor : float

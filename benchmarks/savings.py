@@ -1,4 +1,4 @@
-"""What a step costs, by stage, and what is saved by leaving out what a scene does not need.
+"""The cost of a step by stage, and savings by leaving out work that a scene does not need.
 
 python -m benchmarks.savings [--output docs/profile.md]
 """
@@ -35,7 +35,7 @@ BY_FMM = mrs.Backend(FMM, tolerance=1e-4)
 
 
 def swimmers(count: int) -> mrs.Simulation:
-    """Return a suspension as dense as that of the scenario."""
+    """Return a suspension as dense as the scenario's."""
     positions, along = mrs.random_suspension(count, 1.2 * count ** (1 / 3), 0.2, reach=1.0)
     bodies = [mrs.Swimmers(positions, along, length=1.0, force=1.0, epsilon=0.1)]
     return mrs.Simulation(mrs.Fluid(), bodies, backend=DIRECT, integrator=EULER)
@@ -55,7 +55,7 @@ def tracers(count: int) -> mrs.Simulation:
 
 
 class Step(NamedTuple):
-    """What one step costs."""
+    """The cost of one step."""
 
     points: int
     seconds: dict[str, float]
@@ -120,7 +120,7 @@ def summed(
 
 
 def savings() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
-    """Yield what is saved, an action with the saving and one without it."""
+    """Yield a name for each saving, an action with it and one without it."""
     rng = np.random.default_rng(0)
     stokeslet, rotlet = tc.RegularizedStokeslet(0.05), tc.RegularizedStokesletRotlet(0.05)
     points = rng.random((8000, 3))
@@ -165,7 +165,7 @@ def savings() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]
 
 
 def possible() -> Iterator[tuple[str, Callable[[], object], Callable[[], object]]]:
-    """Yield what could be saved and is not, in the same way."""
+    """Yield savings that are possible but not made, in the same way."""
     points = np.random.default_rng(0).random((34_000, 3))
     for backend, options in (
         (KITC, {"degree": 5, "leaf_size": 1000}),
@@ -208,11 +208,11 @@ def imports() -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="Print what a step costs, and what is saved.")
+    parser = argparse.ArgumentParser(description="Print the cost of a step, and savings.")
     parser.add_argument("--output", type=Path, help="a file; the terminal by default")
     options = parser.parse_args()
     lines = [
-        "# What a step costs",
+        "# The cost of a step",
         f"\n{machine_today()}. Written by `python -m benchmarks.savings`.",
         f"\n## By stage\n\nMedians of {STEPS} steps of forward Euler.\n",
         *profiles(),

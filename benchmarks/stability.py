@@ -1,4 +1,4 @@
-"""What is asked at the limits, what happened, and the bound: the cases of tests/cases/stability.
+"""Extreme cases, the numbers found, and their bounds: the cases of tests/cases/stability.
 
 python -m benchmarks.stability [--quick] [--output FILE]
 """
@@ -20,7 +20,7 @@ from tests.cases.stability.sums import THETA
 
 
 def section(case: Case, explained: bool) -> Iterator[str]:
-    """Yield the lines of one case; those of one function are `explained` once."""
+    """Yield the lines of one case; cases of one function are `explained` once."""
     start = time.perf_counter()
     findings = case.findings()
     print(f"{case.name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
@@ -33,7 +33,7 @@ def section(case: Case, explained: bool) -> Iterator[str]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Ask at the limits; print a table for each case.")
-    parser.add_argument("--quick", action="store_true", help="leave out what takes minutes")
+    parser.add_argument("--quick", action="store_true", help="leave out cases that take minutes")
     parser.add_argument("--output", type=Path, help="a file; the terminal by default")
     options = parser.parse_args()
     lines = [

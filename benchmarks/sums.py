@@ -53,7 +53,7 @@ class Problem:
 
     @cached_property
     def self_terms(self) -> np.ndarray:
-        """K(0) q: what each target contributes to its own sum, 0 for a singular kernel."""
+        """K(0) q: the part of each target in its own sum, 0 for a singular kernel."""
         origin = np.zeros((1, 3))
         units = np.eye(self.kernel.strength_size)[:, None]
         columns = [tc.evaluate(self.kernel, origin, unit, backend=DIRECT)[0] for unit in units]
@@ -83,7 +83,7 @@ class Fmm3d:
 
 
 def can_measure(case: Row) -> bool:
-    """Tell whether what a case needs is installed."""
+    """Tell whether the packages that a case needs are installed."""
     return case.get("backend") != "fmm3d" or importlib.util.find_spec("fmm3dpy") is not None
 
 
@@ -93,7 +93,7 @@ def draw(n: int, count: int) -> np.ndarray:
 
 
 def make_plan(kernel: tc.Kernel, backend: str, **options: Any) -> Any:
-    """Return a plan of treecode's, or what stands for one."""
+    """Return a plan of treecode, or an object with the same members."""
     return Fmm3d(**options) if backend == "fmm3d" else tc.Plan(kernel, backend, **options)
 
 
@@ -185,14 +185,14 @@ class Sum:
         return middle - start, time.perf_counter() - middle
 
     def error(self) -> float | None:
-        """Return E of the last lap, K eq. (8.1); None for what errors are taken against."""
+        """Return E of the last lap, K eq. (8.1); None for direct sums, the reference."""
         if self.backend == DIRECT:
             return None
         rows = self.problem.rows if self.targets is None else slice(SAMPLES)
         return tc.relative_error(self.values[rows], self.problem.exact)
 
     def row(self) -> Row:
-        """Return size, error, pairs for each target and what the backend says of itself."""
+        """Return size, error, pairs for each target and the info of the backend."""
         info = self.plan.info()
         targets = len(self.values)
         pairs = {
@@ -208,7 +208,7 @@ class Sum:
 
 
 def repeat(run: Callable[[], Any], enough: float = ENOUGH) -> np.ndarray:
-    """Return what `run` gives, seconds, `REPEATS` times if that takes no more than `enough`."""
+    """Return the results of `run`, seconds, `REPEATS` of them if they take at most `enough`."""
     laps = [run()]
     while len(laps) < REPEATS and np.sum(laps) < enough:
         laps.append(run())
@@ -216,7 +216,7 @@ def repeat(run: Callable[[], Any], enough: float = ENOUGH) -> np.ndarray:
 
 
 def one_sum(**case: Any) -> Row:
-    """Measure on one thread; the time of a sum at fewer targets is that of all in proportion."""
+    """Measure on one thread; the time of a sum at fewer targets is scaled up to all."""
     numba.set_num_threads(1)
     run = Sum(**case)
     laps = repeat(run.lap)
@@ -258,7 +258,7 @@ def on_threads(**case: Any) -> Row:
 
 
 def peak_memory(points: str, size: int, backend: str, **options: Any) -> Row:
-    """Measure what NumPy holds at most, the caller's arrays and the result included.
+    """Measure the most memory that NumPy holds, with the caller's arrays and the result.
 
     The memory of a direct sum is in proportion to its points; it is measured with few of them.
     """

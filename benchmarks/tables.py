@@ -51,7 +51,7 @@ def options(row: Row) -> str:
 
 
 def case(row: Row) -> list[str]:
-    """Return what was summed and how: the columns `CASE`."""
+    """Return the points and the method of a sum: the columns `CASE`."""
     return [row["points"], f"{row['n']:,}", row["backend"], options(row)]
 
 

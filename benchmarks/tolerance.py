@@ -27,26 +27,28 @@ from benchmarks.rows import Row, Rows
 from mrs import markdown
 from tests.cases import apart, tolerance
 
-PROMISE = """## What a tolerance promises
+PROMISE = """## The promise of a tolerance
 
 `tol`, and `tolerance` of a simulation's backend, is the relative error in the Euclidean norm (K eq.
-8.1), |u - exact| / |exact|, over the targets of each group, for values of each unit apart:
+8.1), |u - exact| / |exact|, over the targets of each group, separately for each unit of the values:
 velocities have one, angular velocities another. `Plan.set_points(sources, targets, groups)` takes
-the groups; all targets are one by default. It does not bound each target: where values are small
-beside those of the group they may be off by more.
+the groups; by default all targets are one group. It does not bound the error of each target: a
+value that is small beside the others of its group may be off by more.
 
 * The first `execute` chooses a sum and samples its error, as a mean square and two of its standard
   deviations, at 400 targets, or 50 of each group. A sum that misses is done again, more accurately.
 * Every later `execute` as long as ten million pairs looks at up to 16 targets, three at least of a
   group. If all but the worst of a group are off by twice `tol`, the error is sampled and, if it is
   too large, another sum chosen. Shorter sums are not watched: `refine` samples them.
-* What cannot be kept is refused with a `ToleranceError`; `CancellationError` where direct sums in
-  doubles cannot either.
-* By hand (`degree`) nothing is sampled: `estimate_error` tells. "fmm" with a degree aims at `tol`.
-* In a simulation groups are bodies. What counts is the total of all blob sizes, forces and torques:
-  a sum that others cancel is asked for as much more, at the first evaluation and every 50 steps.
-  Bodies without forces have sums of their own. `Simulation.velocity` and `mrs field` choose for the
-  points at hand. Where not even direct sums keep the tolerance, they are what is used.
+* A tolerance that cannot be kept raises a `ToleranceError`; if direct sums in doubles cannot keep
+  it either, a `CancellationError`.
+* With parameters by hand (`degree`) nothing is sampled: `estimate_error` returns the error. "fmm"
+  with a degree aims at `tol`.
+* In a simulation groups are bodies. The tolerance is for the total over all blob sizes, forces and
+  torques. A sum that is cancelled by others gets a smaller tolerance by as much, at the first
+  evaluation and every 50 steps. Bodies without forces have sums of their own. `Simulation.velocity`
+  and `mrs field` choose for the given points. If not even direct sums keep the tolerance, direct
+  sums are used.
 
 ## Measured
 """
@@ -71,7 +73,7 @@ APART: dict[str, Callable[[Row], str]] = {
 
 
 def solve(seed: int, largest: int) -> Row:
-    """Return one case, what was chosen for it, and the error."""
+    """Return one case, the choice for it, and the error."""
     numba.set_num_threads(1)
     case = tolerance.Case.draw(seed, largest)
     start = time.perf_counter()
@@ -81,7 +83,7 @@ def solve(seed: int, largest: int) -> Row:
 
 
 def solve_apart(seed: int, largest: int) -> Row:
-    """Return one case of targets apart, what was chosen for it, and the error."""
+    """Return one case of targets apart, the choice for it, and the error."""
     numba.set_num_threads(1)
     case = apart.Apart.draw(seed, 1000, largest)
     start = time.perf_counter()
@@ -120,7 +122,7 @@ def about_apart(count: int, largest: int) -> list[str]:
         "which one stays among the sources. By `Plan(kernel, tol=...)` and by",
         '`Plan(kernel, "fmm", tol=...)`. Errors, K eq. (8.1), are the largest of groups and of',
         "velocities and angular velocities, by the oracle of the tests or, where that is too slow,",
-        "by direct sums. What ends in `ToleranceError` counts as kept, and is done by 'refused'.\n",
+        "by direct sums. A sum that ends in `ToleranceError` counts as kept, done by 'refused'.\n",
     ]
 
 

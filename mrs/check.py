@@ -1,4 +1,4 @@
-"""Refusals: those of `treecode.check`, of arrays, of what users' functions give, of misspelling."""
+"""Tests of arguments, arrays, results of users' functions and spelling, beside `treecode.check`."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ _Called = TypeVar("_Called", bound=Callable[..., Any])
 
 
 class FunctionError(ValueError):
-    """What a user's function gives cannot be used."""
+    """The result of a user's function cannot be used."""
 
 
 class NotFiniteValueError(FunctionError):
-    """It gave something that is not finite, as it may where a step that is too long has led."""
+    """The result is not finite, which may be due to too long a step."""
 
 
 _short = reprlib.Repr()
@@ -156,7 +156,7 @@ def file_name(name: str, value: Any) -> str:
 
 
 def vectors(name: str, value: Any, count: int, where: Callable[[int], str]) -> np.ndarray:
-    """Return what a user's function gave: (count, 3), or (3,) for all alike; all of it finite.
+    """Return the result of a user's function: (count, 3), or (3,) for all alike; all of it finite.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def differences(old: Any, new: Any, place: str = "") -> list[Difference]:
         old, new = ({str(i): item for i, item in enumerate(side)} for side in (old, new))
     if not (isinstance(old, dict) and isinstance(new, dict)) or "array" in {*old, *new}:
         return [] if _equal(old, new) else [Difference(place, old, new)]
-    other_python = old.get("python") != new.get("python")  # whose code is written otherwise
+    other_python = old.get("python") != new.get("python")  # with other bytecode
     keys = [k for k in dict.fromkeys([*old, *new]) if not (other_python and k in _BY_PYTHON)]
     start = f"{place}." if place else ""
     return [d for k in keys for d in differences(old.get(k), new.get(k), f"{start}{k}")]
@@ -159,7 +159,7 @@ def _object(value: Any, inner: Callable[[Any], Any]) -> dict[str, Any]:
 
 
 def own_code(kind: type, inner: Callable[[Any], Any] = described) -> dict[str, Any]:
-    """Return what the methods of a class do, if it is the user's; empty for those of packages."""
+    """Return the code of the methods of a user's class; empty for classes of packages."""
     classes = [c for c in kind.__mro__ if c.__module__.partition(".")[0] not in _OURS]
     methods = {
         f"{c.__qualname__}.{name}": method
@@ -174,7 +174,7 @@ def own_code(kind: type, inner: Callable[[Any], Any] = described) -> dict[str, A
 
 
 def _code(function: types.FunctionType, inner: Callable[[Any], Any]) -> dict[str, Any]:
-    """Return what a function does, and the values that it takes from where it was defined."""
+    """Return the code of a function, and the values that it takes from around its definition."""
     taken: dict[str, Any] = {}
     for name, cell in zip(function.__code__.co_freevars, function.__closure__ or (), strict=True):
         try:

@@ -31,7 +31,7 @@ class Evaluation(NamedTuple):
     motion: np.ndarray
     """Velocities, and angular velocities if any body wants them, (N, 3 or 6)."""
     rates: np.ndarray
-    """Those of positions and triads, (P + Q, 3)."""
+    """Velocities of positions and angular velocities of triads, (P + Q, 3)."""
 
 
 class Scene:

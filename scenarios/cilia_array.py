@@ -20,7 +20,7 @@ from mrs.scenarios.helical_swimmer import flow
 
 
 class CiliaArray(mrs.Scenario):
-    """Options of the carpet; lengths and forces are those of K 8.2, viscosity 1."""
+    """Options of the carpet; lengths and forces as in K 8.2, viscosity 1."""
 
     quick: ClassVar[dict[str, Any]] = {
         "rows": 3,

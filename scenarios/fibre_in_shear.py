@@ -56,8 +56,8 @@ class FibreInShear(mrs.Scenario):
     def check(self, sim: mrs.Simulation) -> mrs.Check:
         """Return the largest speed that the fibre gives a tracer beyond one and a half lengths.
 
-        Expected is the flow of its force dipole: far away that of every body on which no net force
-        and no net torque acts (Batchelor 1970, J. Fluid Mech. 41, 545). The next term is less than
+        Expected is the flow of its force dipole: far away, every body without net force and net
+        torque has this flow (Batchelor 1970, J. Fluid Mech. 41, 545). The next term is less than
         a fifth. Tracers carry no forces: with nothing but their own drag they follow the shear.
         """
         now = sim.now

@@ -60,7 +60,7 @@ class RodRelaxation(mrs.Scenario):
         return mrs.Simulation(fluid, [rod], **common)
 
     def check(self, sim: mrs.Simulation) -> mrs.Check:
-        """Return the mean speed of the nodes at the start, beside that of the flow of two torques.
+        """Return the mean speed of the nodes at the start, beside the speed due to two torques.
 
         The straight rod has the moment a1 (k, 0, t) everywhere. It turns the fluid at one end by
         this torque and at the other by the opposite one, and both move the rod sideways (K eq.

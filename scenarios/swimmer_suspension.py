@@ -47,9 +47,9 @@ class SwimmerSuspension(mrs.Scenario):
     def check(self, sim: mrs.Simulation) -> mrs.Check:
         """Return the median speed of up to 100 swimmers across their orientation.
 
-        Expected is that of the sum of K eq. (7.2), written out, without its own thrust. A swimmer
-        alone moves straight on; one that feels only its own drag does so as well, unless another
-        one touches it.
+        Expected is the same median with velocities from the sum of K eq. (7.2), written out,
+        without a swimmer's own thrust. A swimmer alone moves straight on. A swimmer that feels only
+        its own drag does so as well, unless another one touches it.
         """
         (swimmers,) = sim.bodies
         assert isinstance(swimmers, mrs.Swimmers)

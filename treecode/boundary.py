@@ -11,7 +11,7 @@ from treecode.kernels.base import Kernel
 
 
 class Term(NamedTuple):
-    """One sum of those that make the flow within a boundary; None for what stays as it is.
+    """One of the sums that make the flow within a boundary; None for parts that do not change.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class Term(NamedTuple):
         Of points, (N, 3), and strengths, (N, strength_size) of the kernel of free space: returns
         the strengths of this term.
     values : callable, optional
-        Of targets, (M, 3), and the values of this term there: returns what it adds to the flow,
+        Of targets, (M, 3), and the values of this term there: returns its part of the flow,
         (M, value_size) of the kernel of free space.
     """
 
@@ -40,15 +40,15 @@ class Term(NamedTuple):
         return strengths if self.strengths is None else self.strengths(points, strengths)
 
     def flow_of(self, targets: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Return what this term adds to the flow at targets, (M, value_size)."""
+        """Return the part of this term in the flow at targets, (M, value_size)."""
         return values if self.values is None else self.values(targets, values)
 
 
 class Boundary:
     """A condition on the flow at walls, which images of the sources meet.
 
-    A subclass says by `terms` which sums take the place of the one in free space. Methods of
-    summation, tolerances and samples of errors need nothing of their own for it.
+    A subclass returns in `terms` the sums that replace the one in free space. Methods of
+    summation, tolerances and samples of errors need no code for it.
     """
 
     def terms(self, kernel: Kernel) -> Sequence[Term]:
@@ -57,7 +57,7 @@ class Boundary:
         Parameters
         ----------
         kernel : Kernel
-            A ValueError says if there is no such sum.
+            If there are no such sums for it, a ValueError says so.
         """
         raise NotImplementedError
 

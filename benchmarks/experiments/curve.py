@@ -4,7 +4,7 @@ K example 1 (organisms in a cube, epsilon 0.02) on one thread, as in K figure 2.
 points to values. The building of the operators of `fmm` stands apart; it is done once for a
 kernel, a box and a tolerance. E is K eq. (8.1) at 2000 random targets.
 
-A "~" marks a time in proportion to that of sampled targets. A star marks the lower envelope: no
+A "~" marks a time scaled up from sampled targets. A star marks the lower envelope: no
 other method and parameters are both faster and more accurate. FMM3D (`fmm3dpy`) sums singular
 Stokeslets at the same points in its own arithmetic. Its error is against direct sums of singular
 Stokeslets.

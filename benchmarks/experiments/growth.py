@@ -2,8 +2,8 @@
 
 K example 1 (epsilon 0.02) on one thread, as in K figure 3 and table 1. `kitc` has theta 0.7 and
 N0 = 2000. "K" marks the numbers that the paper prints, for n = 7 and for direct sums. E is K eq.
-(8.1) at 2000 random targets. A "~" marks a time in proportion to that of sampled targets. The
-building of the operators of `fmm` is not in its seconds.
+(8.1) at 2000 random targets. A "~" marks a time scaled up from sampled targets. The building of
+the operators of `fmm` is not in its seconds.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def plot(rows: list[Row], figure: Any) -> None:
 
 
 def against_n(rows: list[Row], figure: Any, paper: dict[int, printed.Printed], source: str) -> None:
-    """Draw error and seconds against N, with what a paper prints by N."""
+    """Draw error and seconds against N, with the numbers that a paper prints for each N."""
     errors, seconds = figure.subplots(1, 2)
     sizes, values = list(paper), list(paper.values())
     key = _parameters

@@ -4,7 +4,7 @@ The most memory that NumPy holds at one time, from points to values. The caller'
 result and the operators of `fmm` are included. The memory of compiled code is not, some 100 KiB a
 thread. K example 1 is as in K table 2 (theta 0.7, N0 = 2000), sphere and cube as in T tables 2
 and 4 (theta 0.5, N0 = 2000). "Paper" marks the numbers that the papers print. The memory of a
-direct sum is in proportion to that of 10,000 points.
+direct sum is scaled up from 10,000 points.
 """
 
 from __future__ import annotations

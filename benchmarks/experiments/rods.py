@@ -2,9 +2,8 @@
 
 K example 2: helical rods of 151 points, with forces and torques in, velocities and angular
 velocities out, epsilon 0.3, on one thread. `kitc` has theta 0.7 and N0 = 1000 as in K figure 5.
-"K" marks the numbers of K table 5. E is K eq. (8.1) at 2000 random targets. A "~" marks a time in
-proportion to that of sampled targets. The building of the operators of `fmm` is not in its
-seconds.
+"K" marks the numbers of K table 5. E is K eq. (8.1) at 2000 random targets. A "~" marks a time
+scaled up from sampled targets. The building of the operators of `fmm` is not in its seconds.
 """
 
 from __future__ import annotations

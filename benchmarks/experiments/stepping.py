@@ -3,8 +3,8 @@
 Three scenes with direct sums on one thread: the stiff rod of Olson, Lim & Cortez after 10 ms, 60
 swimmers that meet after 2 s, and nine beating cilia after a quarter of a beat. Explicit methods
 have fixed steps. Methods that estimate their error have tolerances. The error is the root mean
-square distance of points from those of a run of `rk4` with much smaller steps, in lengths of a
-body.
+square distance of points from the points of a run of `rk4` with much smaller steps, in lengths of
+a body.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mrs.run import scenario_files
 
 
 class Scene(NamedTuple):
-    """What runs for how long, how long a body is, and how many steps the methods take."""
+    """A scene, its end, the length of a body, and the numbers of steps of the methods."""
 
     scenario: str
     options: dict[str, Any]

@@ -2,10 +2,9 @@
 
 T table 1 has Stokeslets and stresslets on the unit sphere (strengths f, h, nu). T table 3 has
 Stokeslets in a cube of number density 2500. `taylor` has N0 = 2000, and `fmm` stands beside it,
-both on one thread. "T" marks the numbers that the paper prints. Its seconds are those of its
+both on one thread. "T" marks the numbers that the paper prints. Its seconds are the seconds of its
 direct sum over the ratio that it prints. E is K eq. (8.1) at 2000 random targets. A "~" marks a
-time in proportion to that of sampled targets. The building of the operators of `fmm` is not in
-its seconds.
+time scaled up from sampled targets. The building of the operators of `fmm` is not in its seconds.
 """
 
 from __future__ import annotations

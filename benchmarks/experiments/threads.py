@@ -2,7 +2,7 @@
 
 The same sum on one thread and on two, in turns. The efficiency is half the ratio of their times,
 the median over turns. "Paper" marks the numbers of K tables 4 and 5 and T table 5, on two cores.
-A "~" marks a time in proportion to that of sampled targets.
+A "~" marks a time scaled up from sampled targets.
 """
 
 from __future__ import annotations

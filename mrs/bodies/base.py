@@ -1,4 +1,4 @@
-"""What the simulation asks of a body: rods, swimmers and tracers are such bodies."""
+"""The contract of a body: rods, swimmers and tracers are bodies."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Body:
 
     A body owns a slice of the state: `positions`, (n, 3), which move with a velocity, and
     `quaternions`, (m, 4), m = n or 0, which turn with an angular velocity. It puts forces, and
-    torques if `has_torque`, on the fluid at its *points*, and is told the velocity there, and the
+    torques if `has_torque`, on the fluid at its *points*, and is given the velocity there, and the
     angular velocity if `has_spin`.
 
     Attributes
     ----------
     kind, name : str
-        The class of body, and what the files of this one are called.
+        The kind of body, and the name of this one, also in the names of its files.
     positions, quaternions : ndarray
         The state at time zero.
     length_scale : float
@@ -43,12 +43,12 @@ class Body:
     made_with: Mapping[str, Any] = MappingProxyType({})
 
     def parameters(self) -> dict[str, Any]:
-        """Return what makes this body what it is, as plain values.
+        """Return a description of this body, as plain values.
 
-        A run does not go on with a body that says something else here than before. Those of the
-        package say the arguments that they were made with, `made_with`; those of a user's class
-        say all their attributes, and the code of their methods. A class whose attributes change
-        with time says here those that do not.
+        A run is resumed only with a body of the same description. Bodies of the package are
+        described by the arguments of their making, `made_with`; bodies of a user's class by all
+        their attributes, and the code of their methods. A class whose attributes change with time
+        returns only the others here.
         """
         said = dict(self.made_with)
         code = own_code(type(self))

@@ -102,7 +102,7 @@ class Layout:
         return points.stop - points.start
 
     def epsilons(self, default: float | None) -> np.ndarray:
-        """Return the blob sizes, (N,), with that of the fluid by default; 1 where none is used.
+        """Return the blob sizes, (N,), by default the fluid's; 1 where none is used.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class Layout:
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Connected pieces of all forced points, places along them, and rounds of closed ones.
 
-        As those of `Body.contact_labels`, with pieces numbered through all bodies.
+        As `Body.contact_labels` returns them, with pieces numbered through all bodies.
         """
         labels, before = [], 0
         for body in self.bodies:

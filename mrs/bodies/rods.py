@@ -98,9 +98,9 @@ class Rods(Body):
     centerlines : Centerline or sequence of Centerline
         Shapes at time zero (`mrs.geometry`). A segment's rest length is its present one, along D3.
     bending : float or array_like
-        Moduli a1, a2 (force times length squared). A number is both of all rods; (rods,) is one
-        number a rod, both of it; rows [[a1, a2]], (1, 2) or (rods, 2), are the two apart. Shape
-        (2,) is refused, since it could be meant either way.
+        Moduli a1, a2 (force times length squared). A number is both moduli of all rods; (rods,)
+        has one number for both moduli of each rod; rows [[a1, a2]], (1, 2) or (rods, 2), have a
+        number for each modulus. Shape (2,) is refused, since it could be meant either way.
     twisting : float or array_like
         Modulus a3: a number for all rods, or (rods,).
     shearing : float or array_like
@@ -109,17 +109,17 @@ class Rods(Body):
         Modulus b3: a number for all rods, or (rods,).
     intrinsic_curvature : "initial", array_like or callable, optional
         The strain (Omega_1, Omega_2, Omega_3) at which the rods are free of moments: two
-        curvatures and a twist, radians per length. "initial" is that of the centrelines; else (3,)
+        curvatures and a twist, radians per length. "initial" is the centrelines' own; else (3,)
         for all segments, (segments, 3), or a function of (s, t), both (segments,): arclength of the
         segments' middles from the first node of their rod, and the rod's own time.
     beat : callable, optional
         A function of (s, t) as above that is added, for example a `TravellingWave`.
     delay : float or array_like, optional
-        By how much each rod's own time is behind the time, a number or (rods,): phases of
+        Lag of each rod's own time behind the time of the run, a number or (rods,): phases of
         metachronal waves. Refused where nothing depends on the rods' own time.
     base : {"free", "clamped"} or Drive, optional
-        What happens to the first node and its triad. A base that is held or driven hands its load
-        to whatever holds it, not to the fluid.
+        Motion of the first node and its triad. A base that is held or driven hands its load to its
+        holder, not to the fluid.
     epsilon : float, optional
         Blob size; the fluid's by default.
     radius : float or array_like, optional
@@ -131,7 +131,7 @@ class Rods(Body):
     Raises
     ------
     ValueError, TypeError
-        The message names the argument and says what is allowed.
+        The message names the argument and the allowed values.
 
     Notes
     -----
@@ -246,7 +246,7 @@ class Rods(Body):
             intrinsic = np.array(np.broadcast_to(given, shape))
         self._intrinsic = intrinsic
         self._beat = None if beat is None else check.function("beat", beat, "(s, t)")
-        self.intrinsic_curvature(0.0)  # refuses what the functions give
+        self.intrinsic_curvature(0.0)  # refuses bad results of the functions
 
     def intrinsic_curvature(self, time: float) -> np.ndarray:
         """Return the strain without moments, (segments, 3)."""

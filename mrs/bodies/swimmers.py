@@ -39,7 +39,8 @@ class Swimmers(Body):
     stroke : {"pusher", "puller"}, optional
         Whether the flagellum is behind the body, x_F = x_B - l p, or before it.
     epsilon, flagellum_epsilon : float or array_like, optional
-        Blob sizes of the two, a number or (n,); the fluid's, and that of the body, by default.
+        Blob sizes of body and flagellum, a number or (n,). By default the fluid's for the body, and
+        the body's for the flagellum.
     radius : float or array_like, optional
         Of the beads in pictures, a number or (n,); their epsilon by default.
     name : str, optional
@@ -48,7 +49,7 @@ class Swimmers(Body):
     Notes
     -----
     With d from flagellum to body, dx_B/dt = u(x_B) and
-    dd/dt = (I - d d^T)(u(x_B) - u(x_F)) / l, with u that of all particles and of the background.
+    dd/dt = (I - d d^T)(u(x_B) - u(x_F)) / l, with u due to all particles and the background.
     Alone, a swimmer moves at f / (4 pi mu) (1/eps_B - 1/sqrt(l^2 + eps_F^2)) along p.
     """
 

@@ -1,4 +1,4 @@
-"""Background flows: what the fluid would do without the bodies."""
+"""Background flows: the motion of the fluid without the bodies."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class Fluid:
     epsilon : float, optional
         Blob size of bodies that do not set their own.
     background : Flow, optional
-        What it does without bodies: one of `mrs.flows`, or an object with their methods `velocity`
+        Its motion without bodies: one of `mrs.flows`, or an object with their methods `velocity`
         and, for rods, `vorticity`.
     boundary : treecode.Boundary, optional
         Walls; the fluid is everywhere by default.

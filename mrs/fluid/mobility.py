@@ -26,18 +26,18 @@ class Backend:
     Parameters
     ----------
     name : str
-        One of `names`: "auto", which takes what should be the fastest for `tolerance`, or a method
-        of summation; see `treecode.Plan`.
+        One of `names`: a method of summation, or "auto", which takes the method that should be the
+        fastest for `tolerance`; see `treecode.Plan`.
     theta, degree, leaf_size : optional
-        Of treecodes, as in `treecode.Plan`; by default what suits `tolerance`.
+        Of treecodes, as in `treecode.Plan`; by default chosen for `tolerance`.
     precision : {"float64", "float32"}, optional
-        Of direct sums, and of treecodes with a `degree`, as in `treecode.Plan`; by default what
-        suits `tolerance`.
+        Of direct sums, and of treecodes with a `degree`, as in `treecode.Plan`; by default chosen
+        for `tolerance`.
     tolerance : float, optional
         Relative error in the Euclidean norm (K eq. 8.1), of the velocities of each body, and of
-        its angular velocities. It is met at the first evaluation of a simulation, looked at
-        in every longer sum, and sampled again now and then. A given `degree` stands in its place;
-        of "fmm" both can be given, and `tolerance` is then what it aims at.
+        its angular velocities. It is met at the first evaluation of a simulation, watched in
+        every longer sum, and sampled again every 50 steps. A given `degree` replaces it; for "fmm"
+        both can be given, and `tolerance` is then its aim.
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -56,11 +56,11 @@ class Backend:
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Return what `name` may be."""
+        """Return the allowed values of `name`."""
         return tc.backends()
 
     def options(self, tolerance: float) -> dict[str, Any]:
-        """Return those of a sum; the tolerance is this one."""
+        """Return the options of a sum with this tolerance."""
         by_hand = self.degree is not None and "tol" not in tc.methods.parameters(self.name)
         return {
             "backend": self.name,
@@ -148,9 +148,8 @@ class _Sum:
 class Mobility:
     """The linear map from forces and torques at points to velocities and angular velocities there.
 
-    Each channel is computed only where there is something to put in and somebody who wants it:
-    sources without torques and targets without angular velocity meet in a regularized Stokeslet, 3
-    by 3.
+    A channel is computed only if its load occurs and its motion is wanted: between sources without
+    torques and targets without angular velocity the kernel is a regularized Stokeslet, 3 by 3.
 
     Parameters
     ----------
@@ -161,7 +160,7 @@ class Mobility:
         Whether there is a force, and a torque, at a point, and whether its angular velocity is
         wanted.
     bodies : (N,) int ndarray
-        The body of each point: what its motion is, and not only that of all, is within tolerance.
+        The body of each point: the motion of each body, not only of all, is within tolerance.
     backend : Backend
         For each sum.
     boundary : treecode.Boundary, optional
@@ -170,7 +169,7 @@ class Mobility:
     Attributes
     ----------
     lock : treecode.Lock
-        Held by whoever uses this, and what belongs to it.
+        Held by each user of this object and of its parts.
     """
 
     def __init__(
@@ -191,7 +190,7 @@ class Mobility:
         self._bodies, self._spinning = bodies, spinning
         self._sums: list[_Sum] = []
         self._sources: list[tuple[tc.Term, int, np.ndarray]] = []
-        # Bodies without forces are apart: among the sources they would hardly count.
+        # Bodies without forces have their own sums: among the sources their error would not count.
         together = np.where(forced, -1, bodies)
         for epsilon in np.unique(epsilons[forced]):
             for torque in (False, True):
@@ -223,7 +222,7 @@ class Mobility:
         return values
 
     def _outs(self, points: np.ndarray, loads: np.ndarray) -> list[np.ndarray]:
-        """Return what each sum gives; if one was chosen for it, such that they do together."""
+        """Return the values of each sum. After a new choice, their total is within tolerance."""
         undecided = [part.plan.choice is None for part in self._sums]
         outs = [part(points, loads) for part in self._sums]
         if len(outs) == 1 or not any(
@@ -245,7 +244,7 @@ class Mobility:
         return values
 
     def _needed(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
-        """Return the tolerance with which each sum leaves their total within that of the backend.
+        """Return the tolerance of each sum that keeps their total within the backend's tolerance.
 
         For each body: bodies of two blob sizes, or with and without torques, may cancel.
         """
@@ -266,9 +265,9 @@ class Mobility:
     def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """Return the velocity, (M, 3), at any targets, (M, 3).
 
-        The sums are chosen, and their errors sampled, for these targets; by a `degree` they are
-        done as it says. Where contributions cancel to little more than the rounding of doubles,
-        they are direct ones, of which nothing is more accurate, whatever their error.
+        The sums are chosen, and their errors sampled, for these targets; a given `degree` is used
+        as it is. If contributions cancel to little more than the rounding of doubles, the sums are
+        direct ones for any tolerance, since no others are more accurate.
         """
         tolerance, flow = self._backend.tolerance, (points, loads, targets)
         outs = [self._velocity_once(flow, *part, tolerance) for part in self._sources]
@@ -305,7 +304,7 @@ class Mobility:
 
     @property
     def choices(self) -> list[tc.Choice]:
-        """What each sum is done by, of those that are decided."""
+        """The choice of each sum that has one."""
         choices = (part.plan.choice for part in self._sums)
         return [choice for choice in choices if choice is not None]
 
@@ -358,7 +357,7 @@ class Mobility:
 
 
 def _shares(tolerance: float, terms: np.ndarray, total: np.ndarray) -> np.ndarray:
-    """Return what relative error each of some sums may have, and not more than `tolerance`.
+    """Return the relative error that each of several sums may have, at most `tolerance`.
 
     Their errors are independent and add up in squares: the total is then within tolerance.
 
@@ -368,7 +367,7 @@ def _shares(tolerance: float, terms: np.ndarray, total: np.ndarray) -> np.ndarra
     terms : (sums, parts) ndarray
         Squares of the norms of parts of each sum.
     total : (parts,) ndarray
-        Those of all together.
+        Squares of the norms of parts of their total.
     """
     count = np.count_nonzero(terms, axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

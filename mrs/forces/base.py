@@ -10,7 +10,7 @@ from mrs.bodies.layout import Layout
 
 
 class Force:
-    """What the scene asks of a force: repulsion, gravity, springs between bodies.
+    """The contract of a force: repulsion, gravity, springs between bodies.
 
     Attributes
     ----------
@@ -27,8 +27,8 @@ class Force:
         ----------
         time : float
         points : (F, 3) ndarray
-            Those of the bodies that put forces on the fluid, ``layout.forced``.
+            Points of the bodies that put forces on the fluid, ``layout.forced``.
         layout : Layout
-            Whose these points are.
+            Tells the body of each point.
         """
         raise NotImplementedError

@@ -61,7 +61,7 @@ class Steric(Force):
         places : (N,) ndarray
             Arclength along it.
         rounds : (N,) ndarray
-            Length of a closed rod, infinite for what is open.
+            Length of a closed piece, infinite for an open one.
         """
         reach = 2.0 * self.chi * self.radius
         i, j = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray").T

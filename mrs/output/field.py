@@ -105,7 +105,7 @@ def write_grid(
     arrays : dict of (n,) or (n, k) array_like
         At ``grid.points``.
     numbers : dict of float, optional
-        That belong to all of it, such as the time: VTK's field data.
+        Numbers of the whole grid, such as the time: VTK's field data.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from mrs.output.trajectory import Trajectory
 
 
 def trajectory_paths(directory: str | os.PathLike[str]) -> list[Path]:
-    """Return the trajectories of a run; all in a directory that lists no run's files.
+    """Return the trajectories of a run; all of them if the directory has no list of files.
 
     Parameters
     ----------

@@ -1,9 +1,8 @@
 """HDF5 files by reads and writes of our own.
 
-HDF5's own way to a file locks it, refuses one that the same process has open for reading, and ends
-in a crash where a write fails. Here a file is plain bytes: whoever reads it stops nobody. From the
-first write that fails, or that ctrl-C interrupts, nothing more is written, as if the process had
-been killed there.
+HDF5 itself locks a file, refuses a file that the same process has open for reading, and crashes if
+a write fails. Here a file is plain bytes: no reader stops a writer. After the first write that
+fails, or that ctrl-C interrupts, nothing more is written, as if the process had been killed there.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ def append(path: str | os.PathLike[str], row: Mapping[str, Any]) -> None:
     Raises
     ------
     ValueError
-        If the columns are not those of the header.
+        If the columns differ from the header.
     """
     path = Path(path)
     lines = [] if path.exists() and path.stat().st_size else [list(row)]

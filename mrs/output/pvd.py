@@ -46,7 +46,7 @@ def append(
 
 
 def next_frame(path: Path) -> Path:
-    """Return where the next frame will be: after those listed, and after those of a lost list.
+    """Return the place of the next frame: after all frames that are listed, or were in a lost list.
 
     Parameters
     ----------

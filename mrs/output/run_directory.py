@@ -83,7 +83,7 @@ def begin(
         Scenario and options, from which the simulation can be built again.
     t_end : float
     files : iterable of Path
-        That the run will write besides.
+        Files that the run will write besides.
     overwrite : bool
         Whether an earlier run may be deleted.
 
@@ -124,7 +124,7 @@ def note(directory: str | os.PathLike[str], *files: str | Path) -> None:
     directory : path
         Of the run.
     *files : path
-        Those that are not below it are left out.
+        Files that are not below it are left out.
     """
     directory = Path(directory)
     root, listing = directory.resolve(), directory / _FILES

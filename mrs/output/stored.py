@@ -74,10 +74,10 @@ class StoredFrame:
     tolerance : float
         Of the sums, as in the run.
     unknown : str or None
-        Name of a background that neither the files nor the caller tell. Velocities are those of the
-        disturbance by the bodies then.
+        Name of a background that neither the files nor the caller define. Velocities are then the
+        disturbance by the bodies alone.
     unknown_boundary : str or None
-        Name of a boundary that neither tells. There are no velocities then.
+        Name of a boundary that neither defines. There are no velocities then.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Writing trajectories: moving points with fixed lines in one VTKHDF file that ParaView opens.
 
-A frame is bytes written into room that the file has already, and then the number of frames. No
-structure of the file changes meanwhile: whoever opens the file, whenever the writer was killed,
-finds all frames that were complete. A full file is copied to one with twice the room, which then
-takes its place; `trim` returns the room that is left.
+A frame is written as bytes into free room of the file; then the number of frames is raised. No
+structure of the file changes meanwhile. A reader therefore finds all complete frames, whenever it
+opens the file and whenever the writer was killed. A full file is copied to one with twice the room,
+which then takes its place; `trim` gives back the room that is left.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the che
 2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
 _READER_GONE = 141  # as shells report a program that SIGPIPE ends
-# What is said in a line. Other errors are the program's own, and their tracebacks are wanted.
+# Errors told in one line. Other errors are the program's own, and their tracebacks are wanted.
 _TOLD = (
     ArithmeticError,
     EOFError,
@@ -77,9 +77,9 @@ def _said(error: BaseException) -> str:
 
 
 def _reader_is_gone() -> bool:
-    """Return whether what reads the output, such as `head`, has ended; then print no more."""
+    """Return whether the reader of the output, such as `head`, has ended; then print no more."""
     try:
-        print(flush=True)  # what broke may be another pipe, such as that to the encoder of a film
+        print(flush=True)  # another pipe may be broken, such as the one to the encoder of a film
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return True
@@ -192,7 +192,7 @@ def _print_options(scene: Scenario) -> None:
 
 
 def _report(sim: Simulation, scene: Scenario, directory: Path) -> bool:
-    """Say what a run has come to; return False if it is at its end with a wrong number."""
+    """Print the state of a run; return False if it is at its end with a wrong number."""
     names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
@@ -296,7 +296,7 @@ _GOING: dict[str, dict[str, Any]] = {
     "--profile": {"action": "store_true", "help": "print a table of where the time went"},
 }
 
-# name: (action, what it does, arguments as argparse takes them)
+# name: (action, help, arguments as argparse takes them)
 _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
     "run": (
         _run,
@@ -345,7 +345,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
     ),
     "info": (
         _info,
-        "say what a run directory holds",
+        "show the contents of a run directory",
         {**_DIRECTORY, "--json": {"action": "store_true", "help": "for programs"}},
     ),
     "check": (
@@ -380,7 +380,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
             "--output": {
                 "type": Path,
                 "metavar": "FILE",
-                "help": "default DIRECTORY/picture.png; the suffix says what",
+                "help": "default DIRECTORY/picture.png; the suffix chooses picture or film",
             },
             "--frame": {
                 "type": _frames,

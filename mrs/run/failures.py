@@ -1,4 +1,4 @@
-"""Steps that a run cannot go on with, and what the user is told of them."""
+"""Steps after which a run cannot go on, and the errors that tell the user."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def require_whole(sim: Simulation, state: State) -> None:
 
 
 def explained(sim: Simulation, error: BaseException) -> BaseException:
-    """Return the error that the user is told of, for one that a step has raised."""
+    """Return the error for the user, in place of one that a step has raised."""
     if isinstance(error, NotFiniteError):
         name = sim.scene.layout.coordinate_name(error.row)
         return SimulationError(f"{name} is not finite {_place(sim)}")
@@ -59,7 +59,7 @@ def explained(sim: Simulation, error: BaseException) -> BaseException:
 
 
 def _place(sim: Simulation) -> str:
-    """Say where the run is, and what to do about steps that are too long."""
+    """Return the moment of the run, and advice about steps that are too long."""
     return (
         f"after time {sim.time:g} (step {sim.stepper.steps}, dt {sim.stepper.taken:g}, "
         f"dt x lambda_max {sim.stepper.h_lambda:.3g}); use a smaller dt, dt='auto' or "

@@ -12,7 +12,7 @@ from mrs.output.frame_files import BodyFile
 
 
 def info(directory: str | Path) -> dict[str, Any]:
-    """Return what is known of a run, also while it goes on.
+    """Return the state of a run, also while it goes on.
 
     Parameters
     ----------
@@ -21,10 +21,10 @@ def info(directory: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict
-        What config.toml has; "time" and "steps" reached, the latest that any file knows, and
-        whether the run is "finished"; time and steps of the "checkpoint", None before the first,
-        and its "backends"; for each of the "files" its frames, points and last time, or what is
-        wrong with it, under "error"; the last row of the "log".
+        The contents of config.toml; "time" and "steps" reached, the latest in any file, and whether
+        the run is "finished"; time and steps of the "checkpoint", None before the first, and its
+        "backends"; for each of the "files" its frames, points and last time, or its fault under
+        "error"; the last row of the "log".
 
     Raises
     ------
@@ -60,7 +60,7 @@ def info(directory: str | Path) -> dict[str, Any]:
 def _file_info(kind: type[BodyFile], path: Path) -> dict[str, Any]:
     try:
         return kind.summary(path)
-    except (OSError, ValueError) as error:  # the others are told of all the same
+    except (OSError, ValueError) as error:  # the other files are reported all the same
         return {"error": str(error).removeprefix(f"{path} ")}
 
 

@@ -11,13 +11,13 @@ from pydantic import BaseModel
 
 
 def explain(scenario: type[BaseModel], item: Any) -> str:
-    """Say what pydantic has found wrong in the words of the other refusals."""
+    """Return a fault that pydantic has found in the words of the other error messages."""
     place = ".".join(map(str, item["loc"]))
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{place}: no such option{_suggestion(scenario, item['loc'])}"
     if item["type"] == "missing":
         return f"{place}: must be given"
-    if item["type"] == "value_error":  # of a class that checks itself, which says what it got
+    if item["type"] == "value_error":  # of a class that checks itself; its message has the value
         return f"{place}: {item['ctx']['error']}"
     return f"{place}: {item['msg'].lower()}, got {item['input']!r}"
 
@@ -54,7 +54,7 @@ def _parts(model: Any) -> dict[str, list[type]]:
 
 
 def _paths(model: Any) -> Iterator[tuple[str, ...]]:
-    """Yield the options of a model, those of its parts included."""
+    """Yield the options of a model and of its parts."""
     for name, parts in _parts(model).items():
         yield (name,)
         for part in parts:

@@ -1,4 +1,4 @@
-"""Runs go on from their last checkpoint."""
+"""Resuming runs from their last checkpoint."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ def resume(
     ----------
     directory : path
     t_end : float, optional
-        A new end; that of the run by default.
+        A new end; the end of the run by default.
     trackers : sequence of Tracker, optional
-        Besides those that write the run.
+        Besides the trackers that write the run.
     changes : bool, optional
-        Whether options in config.toml that change the physics may differ from what was run.
+        Whether options in config.toml that change the physics may differ from the checkpoint.
     **options
         As for `Simulation.run`: `max_walltime`, `renew_files`.
 
@@ -78,8 +78,8 @@ def restart(sim: Simulation, *, changes: bool = False) -> Simulation:
     sim : Simulation
         Built as for the run, with its output directory.
     changes : bool, optional
-        Whether fluid, bodies and steric repulsion may differ from those of the run. What differs
-        is said in any case; another backend, integrator or output is taken up.
+        Whether fluid, bodies and forces may differ from the run. Each difference is told in any
+        case; another backend, integrator or output is always accepted.
 
     Raises
     ------

@@ -59,7 +59,7 @@ class Scenario(BaseModel):
     Raises
     ------
     ScenarioError
-        The message names each option, its value and what is allowed, and the nearest known option.
+        The message names each option, its value and the allowed values, or the nearest option.
     """
 
     model_config = ConfigDict(extra="forbid", validate_default=True, allow_inf_nan=False)

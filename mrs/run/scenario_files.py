@@ -54,7 +54,7 @@ def find(name: str) -> type[Scenario]:
 
 
 def name_of(scenario: type[Scenario]) -> str | None:
-    """Return what `find` finds it by; None for a class that only its own program can make.
+    """Return the name for `find`; None for a class that only its own program can make.
 
     The main program counts as such, although it has a file: to import a script is to run it again.
     """
@@ -75,12 +75,12 @@ def name_of(scenario: type[Scenario]) -> str | None:
 
 
 def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario:
-    """Return the scenario with options, which override those of its quick version.
+    """Return the scenario with options, which override the options of its quick version.
 
     Raises
     ------
     ScenarioError
-        The message names each option, its value and what is allowed, and the nearest known option.
+        The message names each option, its value and the allowed values, or the nearest option.
     """
     options = _beside(Path(), options)
     if isinstance(options.get("plugins"), list):
@@ -140,7 +140,7 @@ def read_input(path: str | Path) -> tuple[str, dict[str, Any]]:
     Raises
     ------
     ScenarioError
-        If it is not TOML, or has keys besides `scenario`, `options`, and what a run adds.
+        If it is not TOML, or has keys besides `scenario`, `options`, and the keys that a run adds.
     """
     content = run_directory.load_toml(path)
     unknown = set(content) - {"scenario", "options", "run", "versions"}

@@ -25,10 +25,10 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stopping:
-    """What the signals do: raise `Stopped`, at once or when a file is written to its end.
+    """The handler of the signals: it raises `Stopped`, at once or after a file is complete.
 
-    `asked` is the first that came. What a handler raises can be lost (in a callback of the garbage
-    collector Python prints it and goes on), so whoever has time looks there as well.
+    `asked` is the first signal. An exception of a handler can be lost: in a callback of the garbage
+    collector Python prints it and goes on. The loop of a run therefore looks at `asked` as well.
     """
 
     def __init__(self) -> None:
@@ -37,7 +37,7 @@ class Stopping:
         self._last = -_ONE_WISH
 
     def hold(self) -> None:
-        """Let no signal interrupt what follows."""
+        """Let no signal interrupt from now on."""
         self._held = True
 
     @contextmanager

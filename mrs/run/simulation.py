@@ -56,9 +56,9 @@ class Simulation:
     output : Output, optional
         Run directory; nothing is written without.
     trackers : sequence of Tracker, optional
-        One's own, besides those of `output`.
+        Your own, besides the trackers of `output`.
     recipe : dict, optional
-        What builds this simulation again, kept in config.toml for `mrs.resume`.
+        Scenario and options, kept in config.toml, from which `mrs.resume` builds it again.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Simulation:
     Raises
     ------
     ValueError, TypeError
-        The message names the argument and says what is allowed.
+        The message names the argument and the allowed values.
     """
 
     def __init__(
@@ -180,7 +180,7 @@ class Simulation:
 
     @cached_property
     def description(self) -> dict[str, Any]:
-        """What the scene is made of, and how it is computed and written, as plain values."""
+        """The scene, its numerics and its output as plain values."""
         options = (self.recipe or {}).get("options", {})
         written = () if self.output is None else _WRITING
         return described(
@@ -206,7 +206,7 @@ class Simulation:
         arrays, values : dict
             From `snapshot`.
         changes : bool, optional
-            Whether fluid, bodies or forces may be others than those of the snapshot.
+            Whether fluid, bodies or forces may differ from the snapshot.
 
         Raises
         ------
@@ -217,7 +217,7 @@ class Simulation:
         Warns
         -----
         UserWarning
-            Of each difference that is taken up: those, and of backend, integrator and output.
+            Of each difference that is accepted: in the physics, backend, integrator and output.
 
         Notes
         -----
@@ -298,8 +298,8 @@ class Simulation:
             Seconds after which the run stops in good order, before `t_end`; at least one step is
             taken.
         renew_files : bool, optional
-            When an earlier run goes on: begin anew those of its files that are missing, cut short
-            or of another scene, instead of refusing to go on. What was there is kept beside.
+            For a resumed run: begin a new file in place of each that is missing, cut short or of
+            another scene, instead of refusing to go on. The old files are kept beside the new.
 
         Returns
         -------
@@ -309,9 +309,9 @@ class Simulation:
         Raises
         ------
         SimulationError
-            If the state, or what a user's function gives, would not be finite; the last good state
-            is in the checkpoint. If a file of the run that goes on is missing or damaged; nothing
-            is changed then.
+            If the state, or the result of a user's function, would not be finite; the last good
+            state is in the checkpoint. If a file of a resumed run is missing or damaged; nothing is
+            changed then.
         FileExistsError
             If the directory holds a run, or a file of a name that the run would write.
         KeyboardInterrupt
@@ -409,7 +409,7 @@ class Simulation:
                 break
 
     def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
-        """Let all trackers end their work; return what failed, which does not stop the others."""
+        """Let all trackers end their work; return the failures, which do not stop the others."""
         failures = []
         with self.profile.stage("output"):
             for tracker in trackers:

@@ -74,7 +74,7 @@ def _call(
 
 
 def _data(hint: Any) -> Any:
-    """Return what pydantic looks for: of arrays nothing, which the function itself checks."""
+    """Return the type that pydantic checks: any for arrays, which the function itself checks."""
     is_array = set(typing.get_args(ArrayLike)) <= set(typing.get_args(hint))
     return Any if is_array else hint
 
@@ -92,7 +92,7 @@ Vectors = list[tuple[float, float, float]]
 
 _FLUID: Any = _call(Fluid, leave_out="boundary", background=Background | None)
 
-# Bodies whose options are not those of their class: how TOML says them, and what is made of them.
+# Bodies whose options in TOML differ from the arguments of their class, and their making.
 _ROD_OPTIONS: Any = _call(
     Rods,
     leave_out="centerlines",
@@ -156,7 +156,7 @@ def scene() -> type[Scenario]:
 
 @contextmanager
 def _at(place: str) -> Iterator[None]:
-    """Name the place of what is refused."""
+    """Name the place of an option that is refused."""
     try:
         yield
     except (TypeError, ValueError) as error:

@@ -16,11 +16,11 @@ from mrs.output import field, run_directory
 from mrs.output.stored import FieldError, StoredFrame
 from mrs.run.resuming import scenario_of
 
-_APART = 10.0  # times what tolerance and rounding explain
+_APART = 10.0  # times the error by tolerance and rounding, from which a warning is given
 
 
 class Field(NamedTuple):
-    """What `write_field` wrote, of when, and how far it may be off."""
+    """The files of `write_field`, their time, and the errors of the velocity."""
 
     paths: list[Path]
     time: float
@@ -38,29 +38,30 @@ def frame_velocity(
     Parameters
     ----------
     directory : path
-        Of a run, whatever made it.
+        Of a run, made by a scenario or a script.
     frame : int, optional
         Its number; the last by default.
     background : Flow, optional
         Of the fluid, if it is none of `mrs.flows` with numbers that files can hold.
     boundary : treecode.Boundary, optional
-        Of the fluid, if a script made the run; that of a scenario is known.
+        Of the fluid, if a script made the run; the boundary of a scenario is known.
 
     Raises
     ------
     IndexError
         If there is no such frame.
     ValueError
-        If the files lack what the velocity depends on, as those of earlier versions.
+        If the files lack arrays on which the velocity depends, as files of earlier versions do.
+        The function that is returned raises it if the boundary is unknown.
 
     Warns
     -----
     UserWarning
-        If the background is unknown: the velocity is that of the disturbance by the bodies then.
+        If the background is unknown: the velocity is then the disturbance by the bodies.
 
     Notes
     -----
-    Forces are those of the frame, in single precision; the sums have the tolerance of the run.
+    The forces of the frame are in single precision; the sums have the tolerance of the run.
     """
     stored = _stored(directory, frame, background, boundary)
     return stored.points, stored.velocity
@@ -77,7 +78,8 @@ def write_field(
     Parameters
     ----------
     directory : path
-        Of a run, whatever made it; nothing of the scenario or the script is needed.
+        Of a run, made by a scenario or a script. The scenario is read only for a background or a
+        boundary that files cannot hold.
     frame : int, optional
         Its number; the last by default.
     resolution : int, optional

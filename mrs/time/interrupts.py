@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mrs.run.simulation import Simulation
 
 # Of an interval, by which a time may miss a multiple and still count as that multiple: 3 * 0.1 is
-# not 0.3, and the end of a run is what the user typed.
+# not 0.3, which a user may have typed as the end of a run.
 _ROUNDING = 1e-9
 
 
@@ -27,11 +27,11 @@ class Moment(NamedTuple):
     steps: int
     """Accepted steps since time zero, also over resumes."""
     seconds: float
-    """Real time since this run, or what goes on of it, has begun."""
+    """Real time since this run has begun or was resumed."""
 
 
 class Interrupt:
-    """A condition when something happens, which is asked for after every step."""
+    """A condition when something happens; it is asked after every step."""
 
     def next_time(self, time: float) -> float:
         """Return the next simulated time that a step must not pass; infinite by default."""

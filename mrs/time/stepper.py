@@ -1,4 +1,4 @@
-"""Step sizes: fixed, from stability, or from the error; rejections; what is not finite."""
+"""Step sizes: fixed, from stability, or from the error; rejections; values that are not finite."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _WARNING = 1.02  # as `MARGIN`, where too early a warning is as bad as one too l
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
-_MEMORY = "memory/"  # before the names of what a method remembers
-_LONGER = 1e-6  # of what is asked, by which a step may be longer: late times are rounded coarsely
+_MEMORY = "memory/"  # before the names of arrays that a method remembers
+_LONGER = 1e-6  # of a step asked for, by which it may be longer: late times are rounded coarsely
 
 
 @check.spelling
@@ -61,7 +61,7 @@ class Integrator:
 
 
 class System(Protocol):
-    """What is to be integrated: a scene."""
+    """The system to be integrated: a scene."""
 
     error_scale: np.ndarray
     """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
@@ -108,7 +108,7 @@ class Stepper:
         return self.taken * self.radius
 
     def history(self) -> tuple[Arrays, dict[str, Any]]:
-        """Return what the next step depends on besides the state."""
+        """Return all values besides the state on which the next step depends."""
         arrays = {} if self.vector is None else {"vector": self.vector}
         arrays |= {_MEMORY + name: array for name, array in (self.memory or {}).items()}
         names = ("h", "taken", "radius", "steps", "rejections", "_renew_at")

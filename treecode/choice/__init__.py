@@ -1,14 +1,14 @@
-"""The choice of backend "auto": a tolerance is the one knob, the cheapest sum is found for it.
+"""The choice of backend "auto": the cheapest sum that keeps a given tolerance.
 
 At the first sum over some points
 
-* a treecode of low degree beside direct sums at a few targets tells how errors for these points
-  and strengths compare with those of the model, single precision what its rounding does to them
-  (`probe`);
+* a treecode of low degree is compared with direct sums at a few targets: this shows how large
+  errors are for these points and strengths, relative to the model; a sum in single precision shows
+  the effect of its rounding (`probe`);
 * the methods offer sums, with errors and seconds from the fitted model (`model`), and the cheapest
   that should reach the tolerance is made (`search`);
-* its error is sampled (`sampling`): if it is too large a more accurate sum is made instead, and if
-  it leaves room for one that is cheaper, and many are to follow, that is tried.
+* its error is sampled (`sampling`): if it is too large, a more accurate sum is made instead; if it
+  is so small that a cheaper sum may do, and many sums are to follow, the cheaper one is tried.
 
-No time is measured: what is chosen depends on kernel, points and strengths alone.
+No time is measured: the choice depends on kernel, points and strengths alone.
 """

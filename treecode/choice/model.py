@@ -1,7 +1,7 @@
-"""The fitted model: what sums of each method cost and how far they are off, for each kernel.
+"""The fitted model: seconds and errors of sums by each method, for each kernel.
 
-`costs.json` holds it, as ``benchmarks/fit_costs.py`` has measured it. What the numbers of a method
-mean, the method knows.
+`costs.json` holds it, as ``benchmarks/fit_costs.py`` has measured it. The code of each method
+explains its own numbers.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ COSTS = Path(__file__).with_name("costs.json")
 
 
 class Model:
-    """Seconds on one thread, and errors in units of that of the probe, of one kernel.
+    """Seconds on one thread, and errors in units of the error of the probe, of one kernel.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a few targets tell of points and strengths before a sum is made, and samples after it."""
+"""Measurements at a few targets before a sum is made, and lessons of samples after it."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Probe:
     ----------
     kernel : Kernel
     sources, targets : (3, N) and (3, M) float64
-        One array where targets are not apart.
+        One array if the targets are the sources.
     strengths : (N, strength_size) float64
     parts : Parts
     tol : float
@@ -111,7 +111,7 @@ class Probe:
 
     @cached_property
     def rounding(self) -> Mapping[str, float]:
-        """Error that each precision makes by rounding; that of doubles does not count."""
+        """Error of each precision by rounding; the error of doubles does not count."""
         single = _MARGIN * (self.error_of(_SINGLE) or _SINGLE_UNIT)
         return dict(zip(PRECISIONS, (0.0, single), strict=True))
 
@@ -120,7 +120,7 @@ class Probe:
         return self._model.fitted(name)
 
     def expected_error(self, name: str, offer: Offer) -> float:
-        """Return the error of an offer of a method, after what samples have shown."""
+        """Return the error of an offer of a method, corrected by the samples so far."""
         return self._misses[name, offer.kind] * offer.error
 
     def will_do(self, name: str, offer: Offer) -> bool:
@@ -128,7 +128,7 @@ class Probe:
         return self.expected_error(name, offer) <= self.tol
 
     def learn(self, name: str, offer: Offer, bound: float) -> None:
-        """Expect of sums of the same kind what a sample says of one."""
+        """Expect sums of the same kind to miss by as much as a sample of one has shown."""
         expected = self.expected_error(name, offer)
         miss = bound / expected if expected > 0.0 else math.inf
         self._misses[name, offer.kind] *= max(miss, _LEAST)

@@ -18,9 +18,9 @@ from treecode.methods.base import Method, Offer, Sum
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import Choice
 
-FEW = 100_000_000  # pairs: what takes a tenth of a second in all is not thought about
+FEW = 100_000_000  # pairs: a tenth of a second in all, for which no choice is made
 _SAMPLES = 400  # targets at which a sum that was made is looked at
-_SUMS = 300  # that share what is done once, and the choice
+_SUMS = 300  # that share the work done once, and the choice
 _CHEAPER = 0.9  # of the seconds of a sum that will do, below which another is tried
 
 
@@ -50,7 +50,7 @@ class Search:
         Parameters that are not to be chosen.
     progress : bool, optional
     sums : int, optional
-        How many share what is done once for all of them, and the choice.
+        Number of sums that share the work done once for all of them, and the choice.
     """
 
     kernel: Kernel
@@ -106,7 +106,7 @@ class Search:
         return good
 
     def bound(self, sum_: Sum, strengths: np.ndarray, values: np.ndarray, parts: Parts) -> float:
-        """Return what the error of a sum that gave `values` hardly exceeds."""
+        """Return a bound that the error of a sum that gave `values` hardly exceeds."""
         return sampled_error(self.kernel, sum_, strengths, values, parts, _SAMPLES).bound
 
     def _takes_no_time(self, sources: np.ndarray, targets: np.ndarray) -> bool:
@@ -126,9 +126,9 @@ class Search:
                 yield _Candidate(method, offer)
 
     def _cheapest(self, case: Probe, tried: set[Choice], below: float) -> _Candidate | None:
-        """Return the cheapest of what should reach the tolerance and was not tried yet.
+        """Return the cheapest untried offer that should reach the tolerance.
 
-        None if there is none in less than `below` seconds; refused if there is none at all.
+        None if there is none in less than `below` seconds; an error if there is none at all.
         """
         best, least = None, math.inf
         for candidate in self._offers(case):

@@ -1,4 +1,4 @@
-"""What a method of summation is: parameters, demands on a kernel, offers for a tolerance, sums."""
+"""The contract of a method: parameters, demands on a kernel, offers for a tolerance, sums."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ PRECISIONS = "float64", "float32"
 
 
 class Parameter(NamedTuple):
-    """What one parameter may be.
+    """The allowed values of one parameter.
 
     Attributes
     ----------
     check : function
-        Of the name that a message shall have and a value: returns the value, or refuses it with a
-        ValueError or a TypeError.
+        Of a name for the message and a value: returns the value, or refuses it with a ValueError or
+        a TypeError.
     default : optional
-        What is taken where nothing is given; None if the sum finds it.
+        The value if none is given; None if the sum finds it.
     required : bool
         Whether a `Choice` must have it.
     """
@@ -33,8 +33,8 @@ class Parameter(NamedTuple):
     required: bool = False
 
 
-# The keywords of `treecode.Plan`, as most methods have them. One that a method does not declare
-# must be in this range, and is not looked at.
+# The keywords of `treecode.Plan`, as most methods have them. A keyword that a method does not
+# declare must be in this range, and is ignored.
 KEYWORDS: Mapping[str, Parameter] = {
     "theta": Parameter(partial(check.number, low=0.0, high=1.0), 0.7, True),
     "degree": Parameter(partial(check.integer, low=1, high=40), 7, True),
@@ -45,7 +45,7 @@ KEYWORDS: Mapping[str, Parameter] = {
 
 
 class Offer(NamedTuple):
-    """A sum that a method can make, and what is expected of it.
+    """A sum that a method can make, with its expected error and time.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Offer(NamedTuple):
     error : float
         Relative error, K eq. (8.1), of the worst of `accuracy.Parts`.
     seconds : float
-        On one thread, for one set of strengths; whatever is done once for all of them in its share.
+        On one thread, for one set of strengths, with its share of the work done once for all.
     kind : str, optional
         Sums of one kind err alike: a sample of one tells how far expectations of all are off.
     """
@@ -66,23 +66,23 @@ class Offer(NamedTuple):
 
 
 class Case(Protocol):
-    """What is known of points and strengths for which sums are offered.
+    """Points, strengths and a tolerance for which sums are offered, with measurements of them.
 
     Attributes
     ----------
     kernel : Kernel
     sources, targets : (3, N) and (3, M) float64
-        The same array where targets are not apart.
+        The same array if the targets are the sources.
     tol : float
         The tolerance that is asked for.
     sums : int
-        How many are to share what is done once for all of them.
+        Number of sums that are to share the work done once for all of them.
     scale : float
         By how much errors are larger here than the model says; measured at first use.
     rounding : dict of float
         Error that each of `PRECISIONS` makes by rounding; measured at first use.
     memory : dict
-        For what a method has found out about this case, under its name.
+        Results that a method keeps for this case, under its name.
     """
 
     kernel: Kernel
@@ -102,25 +102,25 @@ class Case(Protocol):
         """Return the numbers fitted to a method's costs and errors; None where there are none."""
 
     def will_do(self, name: str, offer: Offer) -> bool:
-        """Tell whether an offer should keep the tolerance, after what samples have shown."""
+        """Tell whether an offer should keep the tolerance, after the samples so far."""
 
 
 class Sum(Protocol):
     """A sum by one method with given parameters, for points that are set once and many strengths.
 
-    Nothing is said of where it is computed, nor in what order: arrays that it takes and returns
-    are NumPy's, and its own may be elsewhere.
+    The place and the order of its computations are free: arrays that it takes and returns are
+    NumPy's, and its own may be elsewhere.
 
     Attributes
     ----------
     parameters : mapping
-        Those in use, with what was chosen for the points where a later sum has to begin with that.
+        Parameters in use, also those found for the points if a later sum has to begin with them.
     seconds : dict of float
         By stage, of the last `set_points` and `execute`.
     effort : float
-        What the last sum took, in pairs of points.
+        Work of the last sum, in pairs of points.
     sources, targets : (3, N) and (3, M) float64
-        The points in whatever order suits the method; one array where targets are not apart.
+        The points, in any order; one array if the targets are the sources.
     source_order, target_order : (N,) and (M,) int
         Which of the points that were set stands at each place.
     """
@@ -147,7 +147,7 @@ class Sum(Protocol):
     def target_order(self) -> np.ndarray: ...
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
-        """Take points, (3, N) and (3, M), or no targets apart; the arrays are the sum's own now.
+        """Take points, (3, N) and (3, M) or None for the sources; the arrays are its own now.
 
         A ValueError says why a kernel or points are not taken.
         """
@@ -170,10 +170,10 @@ class Method:
     name : str
         As `backend` of a plan.
     parameters : mapping of str to Parameter
-        Those that a `Choice` of this method may have. Of the keywords of `treecode.Plan` the ones
-        in `KEYWORDS` that are not here are not looked at.
+        Parameters that a `Choice` of this method may have. Other keywords of `treecode.Plan`, if
+        they are in `KEYWORDS`, are ignored.
     members : tuple of str
-        What a kernel must have; `treecode.Kernel` by default.
+        Attributes that a kernel must have; the members of `treecode.Kernel` by default.
     any_kernel : bool
         Whether every kernel with these members is taken; if not, `Sum.set_points` refuses some.
     """
@@ -188,7 +188,7 @@ class Method:
         return all(hasattr(kernel, member) for member in self.members)
 
     def complete(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """Return a value for each parameter: what is given, or else its default if it has one."""
+        """Return a value for each parameter: the given one, or else its default if it has one."""
         values = {name: given.get(name, p.default) for name, p in self.parameters.items()}
         return {name: value for name, value in values.items() if value is not None}
 
@@ -204,7 +204,7 @@ class Method:
         return self.complete(given)
 
     def offers(self, case: Case, given: Mapping[str, Any]) -> Iterable[Offer]:
-        """Return sums with what is expected of them, none by default.
+        """Return sums with their expected errors and times, none by default.
 
         This is asked anew after each sum that was tried, because `Case.will_do` may have changed.
 

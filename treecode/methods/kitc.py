@@ -129,7 +129,7 @@ def _lagrange(nodes, center, half, points, polynomials):
     """Evaluate the Lagrange polynomials of a box side at `points`: K eq. (5.1), algorithm 1.
 
     The points are mapped to [-1, 1] first. K works in place, where a box far from the origin has
-    Chebyshev points rounded to the spacing of its coordinates, not to that of its size.
+    Chebyshev points rounded to the spacing of doubles at its coordinates, not at its size.
 
     Parameters
     ----------

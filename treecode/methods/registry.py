@@ -66,7 +66,7 @@ def require_kernel(kernel: Any, backend: str) -> Any:
     Raises
     ------
     TypeError
-        With what is missing, and the methods that take any kernel.
+        With the missing members, and the methods that take any kernel.
     """
     members = Method.members if backend == AUTO else get(backend).members
     others = [name for name, method in _methods.items() if method.any_kernel]

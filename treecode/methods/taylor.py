@@ -49,7 +49,7 @@ _ORDER = KEYWORDS["degree"]._replace(check=partial(check.integer, low=0, high=40
 
 
 class TaylorKernel(Kernel, Protocol):
-    """What a kernel needs besides `Kernel` to have Taylor expansions.
+    """The members that a kernel needs besides `Kernel` to have Taylor expansions.
 
     Attributes
     ----------
@@ -91,15 +91,15 @@ class Expansion(NamedTuple):
     Attributes
     ----------
     summed, inner, outer : int
-        How many multi-indices have a sum up to the order, which are those of the terms that are
-        summed; up to the highest derivative of chi; and up to the highest derivative of psi.
+        Numbers of multi-indices with a sum up to the order, one for each term that is summed; up to
+        the highest derivative of chi; and up to the highest derivative of psi.
     epsilon : float
         In the unit of length.
     scale : float
         One over the unit of length, a power of two near the radius of the root: powers of distances
-        stay in the range of doubles in whatever unit the user has them.
+        stay in the range of doubles in any unit of the user.
     weight_scale, value_scale : (weight_size,) and (value_size,) float64
-        What the unit makes of weights and values.
+        Factors of weights and values due to the unit.
     exponents : (outer, 3) int64
         The multi-indices.
     rows : (inner,) uintp
@@ -162,7 +162,7 @@ class Expansion(NamedTuple):
 
 @cache
 def _tables(degree: int, derivatives: int) -> dict[str, Any]:
-    """Return what an expansion needs to know about multi-indices; a millisecond at order 7."""
+    """Return tables of multi-indices for an expansion; they take a millisecond at order 7."""
     outer_order = degree + derivatives
     summed, inner, outer = (comb(n + 3, 3) for n in (degree, outer_order - 1, outer_order))
     indices = product(range(outer_order + 1), repeat=3)
@@ -220,7 +220,7 @@ class TaylorTreecode(Treecode):
     ) -> Expansion:
         """Choose the unit; make room for moments of `wanted` clusters of more points than terms.
 
-        They are doubles whatever `dtype` is: high derivatives leave the range of singles.
+        They are doubles for any `dtype`: high derivatives leave the range of singles.
         """
         tables = _tables(degree, kernel.derivatives)
         expanded = wanted & (tree.stop - tree.start > tables["summed"])
@@ -373,7 +373,7 @@ def _gather_child(expansion, tree, cluster, child):
 
 @inlined
 def _contract(expansion, cluster):
-    """Fill the contracted moments: those of ``w_a d_1 + w_b d_2 + w_c d_3``, d from the centre."""
+    """Fill the contracted moments, of ``w_a d_1 + w_b d_2 + w_c d_3`` with d from the centre."""
     moments = expansion.moments[expansion.slot[cluster]]
     weight_size = moments.shape[0] - len(expansion.contractions)
     for n in range(len(expansion.contractions)):

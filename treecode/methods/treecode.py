@@ -1,4 +1,4 @@
-"""What both treecodes have in common: their parameters, and their offers for a tolerance."""
+"""The common part of both treecodes: their parameters, and their offers for a tolerance."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Treecode(WalkMethod):
     Attributes
     ----------
     degrees : range
-        Those that are offered for a tolerance.
+        The degrees that are offered for a tolerance.
     """
 
     parameters: ClassVar = {
@@ -54,7 +54,7 @@ class Treecode(WalkMethod):
         return f"{self.name}({parameters['theta']:g}/{parameters['degree']}{single})"
 
     def cut_off(self, fitted: Mapping[str, Any], theta: float, degree: Any) -> Any:
-        """Return the fitted error of expansions, in units of that of the probe."""
+        """Return the fitted error of expansions, in units of the error of the probe."""
         offset, slope = (np.interp(theta, THETAS, fitted[name]) for name in ("offset", "slope"))
         return 10.0 ** (offset + slope * degree)
 

@@ -138,7 +138,7 @@ class Walk:
 
     @property
     def effort(self) -> float:
-        """What the last sum took, in pairs."""
+        """Work of the last sum, in pairs."""
         return 0.0 if self._notes is None else float(self._notes[:, [NEAR_PAIRS, FAR_PAIRS]].sum())
 
     def info(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Methods of time stepping; `base.Method` says what they have in common."""
+"""Methods of time stepping; `base.Method` is their contract."""
 
 from mrs.registry import Registry
 from mrs.time.integrators.base import Method, Problem, Step

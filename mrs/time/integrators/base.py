@@ -1,4 +1,4 @@
-"""What the stepper asks of a method of time stepping."""
+"""The contract of a method of time stepping."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Arrays = dict[str, np.ndarray]
 
 
 class Problem(NamedTuple):
-    """The equation dz/dt = f(t, z) that a step solves, and what is known at its start."""
+    """The equation dz/dt = f(t, z) that a step solves, and values at its start."""
 
     f: RightHandSide
     rates: np.ndarray
@@ -22,14 +22,14 @@ class Problem(NamedTuple):
 
 
 class Step(NamedTuple):
-    """What a step has come to."""
+    """The result of a step."""
 
     z: np.ndarray
     """The coordinates at its end."""
     error: np.ndarray | None = None
     """An estimate of their error, from methods that have one."""
     memory: Arrays | None = None
-    """What the method wants to know in the next step; None if nothing."""
+    """Arrays that the method needs in the next step; None if it needs none."""
 
 
 class Method(Protocol):
@@ -41,7 +41,7 @@ class Method(Protocol):
 
     @property
     def name(self) -> str:
-        """What users call it by."""
+        """The name in `Integrator` and in TOML files."""
 
     @property
     def order(self) -> int:
@@ -55,9 +55,9 @@ class Method(Protocol):
         """Return the largest h times lambda that is stable, for real negative eigenvalues."""
 
     def init(self, z: np.ndarray) -> Arrays:
-        """Return what the first step remembers: no arrays for a one-step method.
+        """Return the `memory` of the first step: no arrays for a one-step method.
 
-        What is remembered is part of a checkpoint.
+        The arrays are part of a checkpoint.
         """
 
     def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:

@@ -1,4 +1,4 @@
-"""The largest eigenvalue of a Jacobian that nobody has formed."""
+"""The largest eigenvalue of a Jacobian, which is never formed as a matrix."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def spectral_radius(
     scale : ndarray
         Size of the perturbation of each component; also the norm's unit.
     vector : ndarray or None
-        That of an earlier call nearby, in units of `scale`.
+        The vector of an earlier call nearby, in units of `scale`.
 
     Notes
     -----
