@@ -69,7 +69,7 @@ def profiled(sim: mrs.Simulation) -> Step:
     sim.step(1e-6)  # compiles, chooses, estimates the spectral radius
     steps = []
     for _ in range(STEPS):
-        sim.profile = Profile()
+        sim.scene.profile = Profile()
         sim.step(sim.time + 1e-6)
         steps.append(sim.profile)
     seconds = {stage: median(step.seconds[stage] for step in steps) for stage in steps[0].seconds}

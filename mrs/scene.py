@@ -68,11 +68,10 @@ class Scene:
         bodies: Sequence[Body],
         forces: Sequence[Force] = (),
         backend: Backend | None = None,
-        profile: Profile | None = None,
     ) -> None:
         self.fluid, self.bodies, self.forces = fluid, tuple(bodies), tuple(forces)
         self.backend = backend or Backend()
-        self.profile = profile or Profile()
+        self.profile = Profile()
         self.layout = layout = Layout(self.bodies)
         background = fluid.background
         spins = layout.has_spin.any()

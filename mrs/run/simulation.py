@@ -70,8 +70,6 @@ class Simulation:
     stepper : Stepper
     moment : Moment
         Time, steps and seconds of the last step.
-    profile : Profile
-        Where the time has gone; print it.
 
     Raises
     ------
@@ -102,8 +100,7 @@ class Simulation:
         self.output = check.instance("output", output, Output, type(None))
         trackers = check.instances("trackers", trackers, Tracker)
         self.recipe = recipe
-        self.profile = Profile()
-        self.scene = Scene(fluid, bodies, forces, backend, self.profile)
+        self.scene = Scene(fluid, bodies, forces, backend)
         self.time: float = 0.0
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
@@ -133,6 +130,11 @@ class Simulation:
     def mobility(self) -> Mobility:
         """The sums of the scene."""
         return self.scene.mobility
+
+    @property
+    def profile(self) -> Profile:
+        """Where the time has gone; print it."""
+        return self.scene.profile
 
     @property
     def now(self) -> Evaluation:
