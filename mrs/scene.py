@@ -46,8 +46,6 @@ class Scene:
         Besides the loads of the bodies themselves.
     backend : Backend, optional
         How velocities are summed.
-    profile : Profile, optional
-        Where time is counted.
 
     Attributes
     ----------
@@ -56,6 +54,8 @@ class Scene:
     epsilons : (N,) float64 ndarray
         Blob sizes; 1 at points without forces.
     mobility : Mobility
+    profile : Profile
+        Where time is counted.
     error_scale : (P + Q, 1) float64 ndarray
         Unit of errors of each coordinate; 0 where nothing has a length.
     perturbation : (P + Q, 1) float64 ndarray
