@@ -147,7 +147,8 @@ def _keep_apart() -> None:
     it meets for all of them, although each was optimised with its caller: the last bits of a sum
     would depend on whether code was compiled or loaded, and in which order.
     """
-    finalize = JITCodeLibrary._finalize_final_module
+    library_class: Any = JITCodeLibrary
+    finalize = library_class._finalize_final_module
 
     def finalize_apart(library: Any) -> None:
         if library.name in _entries:
@@ -156,7 +157,7 @@ def _keep_apart() -> None:
                     function.linkage = Linkage.internal
         finalize(library)
 
-    JITCodeLibrary._finalize_final_module = finalize_apart
+    library_class._finalize_final_module = finalize_apart
 
 
 _entries: set[str] = set()  # names of the libraries of functions that are called from Python
