@@ -191,7 +191,7 @@ def test_in_a_simulation():
         mrs.Simulation(mrs.Fluid(1.0, 0.05), [swimmers, far], backend=backend)
         for backend in (mrs.Backend("grid", degree=60), tc.EXACT.backend)
     )
-    motion, expected = (s.evaluate(0.0, s.state).motion[-10:] for s in (sim, exact))
+    motion, expected = (s.now.motion[-10:] for s in (sim, exact))
     assert 0.0 < tc.relative_error(motion, expected) < 0.2
     history = json.loads(json.dumps(sim.mobility.history()))
     assert {choice["backend"] for choice in history} == {"grid"}
