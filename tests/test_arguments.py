@@ -341,7 +341,7 @@ def test_precision_of_the_sums_is_an_option(precision):
     given = {"backend": {"name": "direct", "precision": precision}}
     sim = scenario_files.make("helical_swimmer", given, quick=True).simulation()
     assert sim.backend == mrs.Backend("direct", precision=precision)
-    now = sim.evaluate(0.0, sim.state)
+    now = sim.now
     assert {info["precision"] for info in sim.mobility.infos()} == {precision}
     error = sim.mobility.sampled_error(now.points, now.loads)
     assert 1e-9 < error < 1e-5 if precision == "float32" else error == 0.0

@@ -197,7 +197,7 @@ def test_in_a_simulation():
     assert {choice["backend"] for choice in history} == {"grid"}
     again = mrs.Simulation(mrs.Fluid(1.0, 0.05), [swimmers, far], backend=mrs.Backend("grid"))
     again.mobility.restore(history)
-    assert np.array_equal(again.evaluate(0.0, again.state).motion[-10:], motion)
+    assert np.array_equal(again.now.motion[-10:], motion)
     assert again.mobility.choices == sim.mobility.choices
 
 
