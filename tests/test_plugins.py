@@ -200,8 +200,14 @@ def test_all_of_them_from_toml(tmp_path, capsys):
     assert cli.main([*run, str(whole)]) == 0
     assert cli.main([*run, str(halves), "--max-walltime", "0"]) == 0
     assert cli.main(["resume", str(halves)]) == 0
+    told = "weights.xyz: 4 frames of 1 points, the last at t = 0.3"
+    del mrs.FORMATS["xyz"]  # as in a process that has not run it
     assert cli.main(["info", str(halves)]) == 0
-    assert "weights.xyz: 4 frames of 1 points, the last at t = 0.3" in capsys.readouterr().out
+    assert told in capsys.readouterr().out
+    (plugins / "xyz.py").unlink()
+    with pytest.warns(UserWarning, match=r"not told of: plugins: there is no file .*xyz\.py"):
+        assert cli.main(["info", str(halves)]) == 0
+    assert "weights.vtkhdf: 4 frames" in capsys.readouterr().out
     text = (whole / "weights.xyz").read_text()
     assert text == (halves / "weights.xyz").read_text()
     frames = xyz.frames_of(whole / "weights.xyz")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from mrs.output import checkpoint, log, run_directory
 from mrs.output.atomic import DamagedError
 from mrs.output.formats import FORMATS
 from mrs.output.frame_files import BodyFile
+from mrs.run.scenario_files import load_plugins
 
 
 def info(directory: str | Path) -> dict[str, Any]:
@@ -33,6 +35,7 @@ def info(directory: str | Path) -> dict[str, Any]:
     """
     directory = Path(directory)
     content = run_directory.read(directory)
+    _load_formats(content)
     by_suffix = {kind.suffix: kind for kind in FORMATS.values()}
     paths = [path for path in sorted(run_directory.noted(directory)) if path.suffix in by_suffix]
     own = [path for path in paths if path.parent == directory and path.exists()]
@@ -55,6 +58,14 @@ def info(directory: str | Path) -> dict[str, Any]:
         "files": files,
         "log": row,
     }
+
+
+def _load_formats(content: dict[str, Any]) -> None:
+    """Load the plugins of a run, which may have registered formats of its files."""
+    try:
+        load_plugins(content.get("options", {}))
+    except Exception as error:  # whatever happens in a user's file: the rest is told
+        warnings.warn(f"files of formats of one's own are not told of: {error}", stacklevel=3)
 
 
 def _file_info(kind: type[BodyFile], path: Path) -> dict[str, Any]:

@@ -83,11 +83,22 @@ def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario
         The message names each option, its value and the allowed values, or the nearest option.
     """
     options = _beside(Path(), options)
-    if isinstance(options.get("plugins"), list):
-        for file in options["plugins"]:
-            import_file("plugins", Path(file))
+    load_plugins(options)
     scenario = find(name)
     return scenario(**(scenario.quick if quick else {}) | options)
+
+
+def load_plugins(options: dict[str, Any]) -> None:
+    """Import the files that the option `plugins` names: they register what they define.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such file.
+    """
+    files = options.get("plugins")
+    for file in files if isinstance(files, list) else ():
+        import_file("plugins", Path(str(file)))
 
 
 def _beside(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
