@@ -90,14 +90,21 @@ ALLOWED = {
         "treecode.threads", "treecode.timing", "treecode.traversal",
     },
     "treecode.methods": {"treecode.methods"},
+    "treecode.ranks": set(),
+    "treecode.shared_sum": {
+        "treecode.kernels.base", "treecode.methods.base", "treecode.methods.registry",
+        "treecode.ranks", "treecode.timing",
+    },
     "treecode.choice.model": {"treecode.kernels.base"},
     "treecode.choice.refusals": set(),
     "treecode.choice.sampling": {
         "treecode._lanes", "treecode.accuracy", "treecode.kernels.base", "treecode.methods.base",
-        "treecode.methods.direct", "treecode.pairs", "treecode.threads", "treecode.traversal",
+        "treecode.methods.direct", "treecode.pairs", "treecode.ranks", "treecode.shared_sum",
+        "treecode.threads", "treecode.traversal",
     },
     "treecode.choice": {
         "treecode.accuracy", "treecode.choice", "treecode.kernels.base", "treecode.methods",
+        "treecode.ranks", "treecode.shared_sum",
     },
     "treecode.boundary": {"treecode.kernels.base"},
     "treecode.plan": {"treecode"},
@@ -182,3 +189,10 @@ def test_numba_is_spelled_in_one_file():
             for word in ("fastmath", "njit", "error_model", "forceinline"):
                 assert word not in text, f"{path} names {word}"
             assert "llvmlite" not in text
+
+
+def test_mpi_is_spelled_in_one_file():
+    """Only treecode/ranks.py imports mpi4py, and only where there are ranks."""
+    for path in SOURCES:
+        if path != ROOT / "treecode" / "ranks.py":
+            assert "mpi4py" not in [name.split(".")[0] for name in imports_of(path)], path
