@@ -125,6 +125,7 @@ ALLOWED = {
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
+        "treecode.ranks",
     },
     "mrs.output": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
@@ -133,9 +134,9 @@ ALLOWED = {
     },
     "mrs.run": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.output",
-        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.version",
+        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks", "treecode.version",
     },
-    "mrs.run.signals": set(),
+    "mrs.run.signals": {"treecode.ranks"},
     "mrs.scenarios": set(),  # found by name
     "mrs": {"mrs", "treecode.version"},
     "scenarios": {"mrs"},

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import sys
 import traceback
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
@@ -18,6 +19,7 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _T = TypeVar("_T")
 _NEEDED = "rank", "size", "allgather", "Allgatherv", "Abort"  # of a communicator
+_LAUNCHED = "PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK"  # set by mpirun and by srun
 _TOLD = "told_by_rank"  # attribute of an error that all ranks know of: the rank that it comes from
 _BLOCKS = 64  # of an array, whose sums tell it from another
 
@@ -57,6 +59,18 @@ class OneRank:
         """Do what is inside on all ranks, or raise on all of them the error of one."""
         yield
 
+    def lead(self, helper: object, action: Callable[[], _T]) -> _T:
+        """Let rank 0 do something, such as to write files, and return its result on all ranks.
+
+        The others take part in the `joint` methods of `helper` that it calls meanwhile.
+        """
+        return action()
+
+    @contextmanager
+    def call(self, name: str, arguments: tuple[Any, ...]) -> Iterator[None]:
+        """Let the others, if rank 0 leads, make the same call of a `joint` method."""
+        yield
+
     def abort(self, status: int) -> None:
         """End all ranks at once, if others may wait for this one."""
 
@@ -75,6 +89,7 @@ class Ranks(OneRank):
     def __init__(self, comm: Any) -> None:
         self._comm = comm
         self.rank, self.size = comm.rank, comm.size
+        self._leads = False
         _end_all_on_errors(comm)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Ranks:
@@ -121,6 +136,41 @@ class Ranks(OneRank):
             raise
         self.exchange(None)
 
+    def lead(self, helper: object, action: Callable[[], _T]) -> _T:
+        """Let rank 0 do something, and return its result on all ranks; the others help."""
+        if self.rank:
+            nothing: Any = None
+            while (call := self.first(nothing)) is not None:
+                name, arguments = call
+                with suppress(Exception), self.together():  # rank 0 has it too, and may go on
+                    getattr(helper, name)(*arguments)
+            return self.first(nothing)
+        self._leads = True
+        try:
+            result = action()
+        except BaseException as error:
+            self._meet(None, error)
+            raise
+        finally:
+            self._leads = False
+        self.first(None)
+        self.first(result)
+        return result
+
+    @contextmanager
+    def call(self, name: str, arguments: tuple[Any, ...]) -> Iterator[None]:
+        """Let the others, if this rank leads, make the same call of a `joint` method."""
+        if not self._leads:
+            yield
+            return
+        self._leads = False
+        try:
+            self.first((name, arguments))
+            with self.together():
+                yield
+        finally:
+            self._leads = True
+
     def abort(self, status: int) -> None:
         """End all ranks at once."""
         self._comm.Abort(status)
@@ -143,6 +193,20 @@ class Ranks(OneRank):
 
 class RemoteError(Exception):
     """Shows where another rank has failed."""
+
+
+def world() -> Any:
+    """Return the communicator of all ranks that an MPI launcher has started, None without one."""
+    if not any(name in os.environ for name in _LAUNCHED):
+        return None
+    try:
+        from mpi4py import MPI
+    except ImportError:
+        raise ImportError(
+            "mpi4py is missing, without which each of the processes would do all of the work: "
+            "pip install mpi4py"
+        ) from None
+    return MPI.COMM_WORLD
 
 
 def ranks_of(comm: Any) -> OneRank:
@@ -182,6 +246,17 @@ def in_step(method: Callable[Concatenate[_S, _P], _R]) -> Callable[Concatenate[_
     return with_others
 
 
+def joint(method: Callable[Concatenate[_S, _P], _R]) -> Callable[Concatenate[_S, _P], _R]:
+    """Let a method be called by all ranks, or by rank 0 where it leads: the others take part."""
+
+    @wraps(method)
+    def with_others(self: _S, /, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        with self.ranks.call(method.__name__, arguments):
+            return method(self, *arguments, **options)
+
+    return with_others
+
+
 def _known_to_all(error: BaseException, rank: int) -> BaseException:
     setattr(error, _TOLD, rank)
     return error
@@ -189,7 +264,7 @@ def _known_to_all(error: BaseException, rank: int) -> BaseException:
 
 def _packed(error: BaseException) -> tuple[bytes, str]:
     """Return an error as bytes that other ranks can read, and its traceback."""
-    trace = "".join(traceback.format_exception(type(error), error, error.__traceback__))
+    trace = "".join(traceback.format_tb(error.__traceback__))
     try:
         content = pickle.dumps(error)
         pickle.loads(content)
@@ -210,17 +285,16 @@ def _fingerprint(array: np.ndarray | None) -> tuple[tuple[int, ...], int]:
 
 
 def _end_all_on_errors(comm: Any) -> None:
-    """Let an error that ends the script of one rank end all: they would wait for it for ever.
-
-    One that all ranks know of is shown by the rank that it comes from, and ends each of them.
-    """
-    if isinstance(sys.excepthook, _Hook):
-        return
-    sys.excepthook = _Hook(comm, sys.excepthook)
+    """Let an error that ends the script of one rank end all: they would wait for it for ever."""
+    if not isinstance(sys.excepthook, _Hook):
+        sys.excepthook = _Hook(comm, sys.excepthook)
 
 
 class _Hook:
-    """Shows an error that ends a script, once, and ends the other ranks."""
+    """Shows an error that ends a script, and ends the other ranks.
+
+    One that all ranks know of ends each of them, and is shown by rank 0 alone.
+    """
 
     def __init__(self, comm: Any, show: Any) -> None:
         self._comm, self._show = comm, show
@@ -228,10 +302,9 @@ class _Hook:
     def __call__(
         self, kind: type[BaseException], error: BaseException, trace: TracebackType | None
     ) -> None:
-        told = getattr(error, _TOLD, None)
-        by_hand = isinstance(error, KeyboardInterrupt)  # reaches all, anywhere
-        if (self._comm.rank == 0) if by_hand else (told in (None, self._comm.rank)):
+        by_hand = type(error) is KeyboardInterrupt  # reached each rank by itself, anywhere
+        if self._comm.rank == 0 or not (by_hand or hasattr(error, _TOLD)):
             self._show(kind, error, trace)
             sys.stderr.flush()
-        if told is None or by_hand:
+        if by_hand or not hasattr(error, _TOLD):
             self._comm.Abort(1)

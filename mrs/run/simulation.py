@@ -6,7 +6,7 @@ import time as clock
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import State
 from mrs.time.stepper import Integrator, Stepper
+from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
@@ -59,6 +60,9 @@ class Simulation:
         One's own, besides those of `output`.
     recipe : dict, optional
         What builds this simulation again, kept in config.toml for `mrs.resume`.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks of MPI that share the sums. All of them build the same simulation and make the same
+        calls; files are written, and trackers called, by rank 0. See docs/mpi.md.
 
     Attributes
     ----------
@@ -90,6 +94,7 @@ class Simulation:
         output: Output | None = None,
         trackers: Iterable[Tracker] = (),
         recipe: dict[str, Any] | None = None,
+        comm: Any = None,
     ) -> None:
         check.instance("fluid", fluid, Fluid)
         bodies = check.instances("bodies", bodies, Body)
@@ -103,7 +108,7 @@ class Simulation:
         trackers = check.instances("trackers", trackers, Tracker)
         self.recipe = recipe
         self.profile = Profile()
-        self.scene = Scene(fluid, bodies, forces, backend, self.profile)
+        self.scene = Scene(fluid, bodies, forces, backend, self.profile, comm)
         self.time: float = 0.0
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
@@ -133,6 +138,11 @@ class Simulation:
     def mobility(self) -> Mobility:
         """The sums of the scene."""
         return self.scene.mobility
+
+    @property
+    def ranks(self) -> OneRank:
+        """The processes that share the sums."""
+        return self.scene.ranks
 
     @property
     def now(self) -> Evaluation:
@@ -327,10 +337,10 @@ class Simulation:
         for tracker in self.trackers:
             check.instance(f"{type(tracker).__name__}.when", tracker.when, Interrupt)
         with ExitStack() as stack:
-            stopping = stack.enter_context(signals.stopping())
+            stopping = stack.enter_context(signals.stopping(self.ranks))
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
-                self._enter(self.output, renew_files, stack)
+                self.ranks.lead(self.scene, partial(self._enter, self.output, renew_files, stack))
             self._run(max_walltime, stopping)
         return self
 
@@ -376,7 +386,8 @@ class Simulation:
         begun: list[Tracker] = []
         try:
             try:
-                self._go(max_walltime, begun, stopping)
+                with self.ranks.together():
+                    self._go(max_walltime, begun, stopping)
             finally:
                 stopping.hold()  # before anything is finalized, whatever ends the loop
         except BaseException:
@@ -391,27 +402,38 @@ class Simulation:
     ) -> None:
         """Begin with all trackers, which go to `begun`, and step until the end."""
         start = clock.monotonic()
+
+        def seconds() -> float:
+            return self.ranks.first(clock.monotonic() - start)
+
         self.moment = Moment(self.time, self.stepper.steps, 0.0)
         with self.profile.stage("output"):
-            for tracker in self.trackers:
-                begun.append(tracker)
-                tracker.initialize(self)
+            self.ranks.lead(self.scene, partial(self._initialize, begun))
         interrupts = [tracker.when for tracker in self.trackers]
         while self.time < self.t_end:
             before = self.moment
             self.step(next_stop(interrupts, self.time, self.t_end))
-            self.moment = Moment(self.time, self.stepper.steps, clock.monotonic() - start)
+            self.moment = Moment(self.time, self.stepper.steps, seconds())
             with self.profile.stage("output"), stopping.writing():
-                for tracker in self.trackers:
-                    if self.time >= self.t_end or tracker.when.due(before, self):
-                        tracker.handle(self)
-            if max_walltime is not None and clock.monotonic() - start >= max_walltime:
+                self.ranks.lead(self.scene, partial(self._handle, before))
+            if max_walltime is not None and seconds() >= max_walltime:
                 break
+
+    def _initialize(self, begun: list[Tracker]) -> None:
+        for tracker in self.trackers:
+            begun.append(tracker)
+            tracker.initialize(self)
+
+    def _handle(self, before: Moment) -> None:
+        for tracker in self.trackers:
+            if self.time >= self.t_end or tracker.when.due(before, self):
+                tracker.handle(self)
 
     def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
         """Let all trackers end their work; return what failed, which does not stop the others."""
-        failures = []
-        with self.profile.stage("output"):
+
+        def finalize() -> list[SimulationError]:
+            failures = []
             for tracker in trackers:
                 try:
                     tracker.finalize(self)
@@ -419,5 +441,9 @@ class Simulation:
                     failure = SimulationError(f"{type(tracker).__name__}.finalize: {error}")
                     failure.__cause__ = error
                     failures.append(failure)
+            return failures
+
+        with self.profile.stage("output"):
+            failures = self.ranks.lead(self.scene, finalize)
         self.resumed = True  # a second call goes on
         return failures
