@@ -5,6 +5,8 @@ from __future__ import annotations
 import datetime
 import os
 import platform
+import shutil
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,6 +24,12 @@ def machine() -> str:
         f"{os.cpu_count()} cores of {processor}, {platform.system()}; "
         f"Python {platform.python_version()}, {versions}"
     )
+
+
+def mpirun() -> str | None:
+    """Return the launcher of MPI, beside Python or on the path; None if there is none."""
+    places = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
+    return shutil.which("mpirun", path=places)
 
 
 def machine_today() -> str:

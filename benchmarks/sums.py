@@ -20,6 +20,7 @@ import numpy as np
 
 import treecode as tc
 from benchmarks import point_sets
+from benchmarks.machine import mpirun
 from benchmarks.methods import DIRECT
 from benchmarks.rows import Row
 from treecode.methods.fmm import store
@@ -84,6 +85,8 @@ class Fmm3d:
 
 def can_measure(case: Row) -> bool:
     """Tell whether the packages that a case needs are installed."""
+    if "ranks" in case and not (mpirun() and importlib.util.find_spec("mpi4py")):
+        return False
     return case.get("backend") != "fmm3d" or importlib.util.find_spec("fmm3dpy") is not None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from mrs.fluid import Backend, Fluid, Mobility
 from mrs.forces import Force
 from mrs.profile import Profile
 from mrs.time.state import State
+from treecode.ranks import joint
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
 
@@ -46,6 +47,8 @@ class Scene:
         Besides the loads of the bodies themselves.
     backend : Backend, optional
         How velocities are summed.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks that share the sums.
 
     Attributes
     ----------
@@ -56,6 +59,7 @@ class Scene:
     mobility : Mobility
     profile : Profile
         Where time is counted.
+    ranks : treecode.ranks.OneRank
     error_scale : (P + Q, 1) float64 ndarray
         Unit of errors of each coordinate; 0 where nothing has a length.
     perturbation : (P + Q, 1) float64 ndarray
@@ -68,6 +72,7 @@ class Scene:
         bodies: Sequence[Body],
         forces: Sequence[Force] = (),
         backend: Backend | None = None,
+        comm: Any = None,
     ) -> None:
         self.fluid, self.bodies, self.forces = fluid, tuple(bodies), tuple(forces)
         self.backend = backend or Backend()
@@ -87,7 +92,9 @@ class Scene:
             layout.numbers,
             self.backend,
             fluid.boundary,
+            comm,
         )
+        self.ranks = self.mobility.ranks
         self._set_scales()
         self._last: Evaluation | None = None
 
@@ -101,6 +108,7 @@ class Scene:
         small = np.concatenate([np.full(len(lengths), smallest), turns])
         self.perturbation = _PERTURBATION * small[:, None]
 
+    @joint
     def evaluate(self, time: float, state: State) -> Evaluation:
         """Return loads, motion and rates in a state; the last answer is kept."""
         with self.mobility.lock:
@@ -166,6 +174,7 @@ class Scene:
                 self.profile.divide(info["seconds"], info["near_pairs"], info["far_pairs"])
         return motion
 
+    @joint
     def correct(self, time: float, state: State) -> None:
         """Let the sums meet their tolerance again."""
         now = self.evaluate(time, state)
@@ -177,6 +186,14 @@ class Scene:
         """Return the elastic energy of all bodies."""
         return sum(part.body.energy(time, part.state(state)) for part in self.layout.parts)
 
+    @joint
+    def sampled_error(self, time: float, state: State) -> float:
+        """Return the relative error of the sums in a state; see `Mobility.sampled_error`."""
+        now = self.evaluate(time, state)
+        with self.profile.stage("error samples"):
+            return self.mobility.sampled_error(now.points, now.loads)
+
+    @joint
     def velocity(self, points: np.ndarray, now: Evaluation) -> np.ndarray:
         """Return the velocity of the fluid at points, (M, 3), in a state that was evaluated."""
         with self.mobility.lock:

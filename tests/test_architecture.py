@@ -90,14 +90,21 @@ ALLOWED = {
         "treecode.threads", "treecode.timing", "treecode.traversal",
     },
     "treecode.methods": {"treecode.methods"},
+    "treecode.ranks": set(),
+    "treecode.shared_sum": {
+        "treecode.kernels.base", "treecode.methods.base", "treecode.methods.registry",
+        "treecode.ranks", "treecode.timing",
+    },
     "treecode.choice.model": {"treecode.kernels.base"},
     "treecode.choice.refusals": set(),
     "treecode.choice.sampling": {
         "treecode._lanes", "treecode.accuracy", "treecode.kernels.base", "treecode.methods.base",
-        "treecode.methods.direct", "treecode.pairs", "treecode.threads", "treecode.traversal",
+        "treecode.methods.direct", "treecode.pairs", "treecode.ranks", "treecode.shared_sum",
+        "treecode.threads", "treecode.traversal",
     },
     "treecode.choice": {
         "treecode.accuracy", "treecode.choice", "treecode.kernels.base", "treecode.methods",
+        "treecode.ranks", "treecode.shared_sum",
     },
     "treecode.boundary": {"treecode.kernels.base"},
     "treecode.plan": {"treecode"},
@@ -119,6 +126,7 @@ ALLOWED = {
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
+        "treecode.ranks",
     },
     "mrs.output": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
@@ -127,9 +135,9 @@ ALLOWED = {
     },
     "mrs.run": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.output",
-        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.version",
+        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks", "treecode.version",
     },
-    "mrs.run.signals": set(),
+    "mrs.run.signals": {"treecode.ranks"},
     "mrs.scenarios": set(),  # found by name
     "mrs": {"mrs", "treecode.version"},
     "scenarios": {"mrs"},
@@ -183,3 +191,10 @@ def test_numba_is_spelled_in_one_file():
             for word in ("fastmath", "njit", "error_model", "forceinline"):
                 assert word not in text, f"{path} names {word}"
             assert "llvmlite" not in text
+
+
+def test_mpi_is_spelled_in_one_file():
+    """Only treecode/ranks.py imports mpi4py, and only where there are ranks."""
+    for path in SOURCES:
+        if path != ROOT / "treecode" / "ranks.py":
+            assert "mpi4py" not in [name.split(".")[0] for name in imports_of(path)], path

@@ -17,6 +17,7 @@ REASONS = {
     "installs": "in an empty environment, as .ci/run does",
     "hours": "of benchmarks",
     "elsewhere": "with a program that the tests do not install",
+    "ranks": "in several processes, as in tests/test_ranks.py",
 }
 RUN = {"bash", "python", "toml"}
 # page: commands that it builds on

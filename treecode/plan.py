@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,9 +20,11 @@ from treecode.methods import registry
 from treecode.methods.base import KEYWORDS, Sum
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import AUTO, Choice
+from treecode.ranks import in_step, ranks_of
+from treecode.shared_sum import made
 from treecode.threads import thread_count
 
-_OPTIONS = ("backend", *KEYWORDS, "progress")
+_OPTIONS = ("backend", *KEYWORDS, "progress", "comm")
 
 
 def backends() -> tuple[str, ...]:
@@ -66,6 +69,9 @@ class Plan:
         The fast multipole method by name with a `degree` only aims at it.
     progress : bool, optional
         Show a progress bar while summing.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks of MPI that share the targets. All of them make the same calls with the same
+        arguments, and get the same values, or the same error. See docs/mpi.md.
 
     Raises
     ------
@@ -75,7 +81,8 @@ class Plan:
     Notes
     -----
     The sums use as many threads as ``numba.get_num_threads()``, and do not depend on how many.
-    A plan may be used by several threads, one at a time: others wait. It can be copied and pickled.
+    A plan may be used by several threads, one at a time: others wait. It can be copied and pickled;
+    one that ranks share can be copied only.
     A method looks at the parameters that it declares (`treecode.methods.parameters`): direct
     summation takes none of `theta`, `degree`, `leaf_size` and `tol` into account, and "auto"
     chooses all but the last itself.
@@ -99,7 +106,9 @@ class Plan:
         precision: str | None = None,
         tol: float | None = None,
         progress: bool = False,
+        comm: Any = None,
     ) -> None:
+        self.ranks = ranks_of(comm)
         self.backend = check.one_of("backend", backend, backends())
         self.kernel = registry.require_kernel(kernel, backend)
         require_counts(kernel)
@@ -126,23 +135,26 @@ class Plan:
     def _begin(self, given: dict[str, Any]) -> None:
         """Make the sum that is given, or prepare the search for one."""
         tol = given.get("tol", KEYWORDS["tol"].default)
+        search = partial(Search, self.kernel, progress=self._progress, ranks=self.ranks)
         if self.backend == AUTO:
             chosen = {name: given.get(name) for name in KEYWORDS if name != "tol"}
             check.absent(f"with backend {AUTO!r}, which chooses it", **chosen)
-            methods = registry.able(self.kernel)
-            self._search = Search(self.kernel, methods, tol, progress=self._progress)
+            self._search = search(registry.able(self.kernel), tol)
             return
         method = registry.get(self.backend)
         method.refuse(given)
         first = method.first(given)
         if method.seeks(given):
             given = {**given, "tol": tol}
-            self._search = Search(self.kernel, (method,), tol, given, self._progress)
+            self._search = search((method,), tol, given)
         if first is not None:
             registry.require_complete(method, first)
             self._first = Choice(method.name, **first)
-            self._sum = self._first.sum(self.kernel, self._progress)
+            self._sum = self._made(self._first)
             self._choice = None if self._search else self._first
+
+    def _made(self, choice: Choice) -> Sum:
+        return made(choice, self.kernel, self.ranks, self._progress)
 
     def __copy__(self) -> Plan:
         """Return a plan that shares nothing: points of one are not those of the other."""
@@ -156,6 +168,7 @@ class Plan:
         return Choice(self._choice.backend, **self._sum.parameters)
 
     @one_at_a_time
+    @in_step
     def use(self, choice: Choice) -> None:
         """Sum by an earlier `choice` from the next `set_points` on.
 
@@ -165,10 +178,11 @@ class Plan:
             If it is not a choice, or not one for this kernel.
         """
         self._choice = registry.require_choice(choice, self.kernel)
-        self._sum = choice.sum(self.kernel, self._progress)
+        self._sum = self._made(choice)
         self._parts, self._points_set = None, False
 
     @one_at_a_time
+    @in_step
     def set_points(self, sources: Any, targets: Any = None, groups: Any = None) -> Plan:
         """Sort the points and keep all that does not depend on the strengths.
 
@@ -197,11 +211,12 @@ class Plan:
         targets = None if targets is None else check.points("targets", targets)
         counts = len(sources), len(sources if targets is None else targets)
         groups = None if groups is None else check.groups(groups, counts[1])
+        self.ranks.require_same(sources=sources, targets=targets, groups=groups)
         self._points_set = False  # until all is done
         if self._parts is None or not self._same(counts, groups):
             if self._search and self._parts:
                 self._choice = None
-                self._sum = self._first.sum(self.kernel, self._progress) if self._first else None
+                self._sum = self._made(self._first) if self._first else None
             self._counts, self._groups = counts, groups
             self._parts = Parts.of(self.kernel, counts[1], groups)
             self._watched = self._parts.watch(WATCHED)
@@ -222,6 +237,7 @@ class Plan:
         return counts == self._counts and np.array_equal(groups, self._groups)
 
     @one_at_a_time
+    @in_step
     def execute(self, strengths: Any) -> np.ndarray:
         """Return the sum for one set of strengths.
 
@@ -258,6 +274,7 @@ class Plan:
         return values
 
     @one_at_a_time
+    @in_step
     def refine(self, strengths: Any, tol: float | None = None, values: Any = None) -> bool:
         """Sample the error for `strengths`; if it is too large choose anew, and return that.
 
@@ -299,7 +316,7 @@ class Plan:
         elif self._choice == EXACT:
             return True
         else:
-            watched = self._watched, self._at_watched
+            watched = self._watched, self._at_watched, self.ranks
             if seems_kept(self.kernel, self._sum, search.tol, strengths, values, parts, *watched):
                 return True
         if search.bound(self._sum, strengths, values, parts) > search.tol:
@@ -341,6 +358,7 @@ class Plan:
         }
 
     @one_at_a_time
+    @in_step
     def estimate_error(
         self, strengths: Any, samples: int = 1000, seed: int = 0, *, by_unit: bool = False
     ) -> float:
@@ -363,12 +381,15 @@ class Plan:
         values = self.execute(strengths)
         if self._sum is None:
             return 0.0
-        error = sampled_error(self.kernel, self._sum, strengths, values, parts, samples, seed)
+        error = sampled_error(
+            self.kernel, self._sum, strengths, values, parts, samples, seed, ranks=self.ranks
+        )
         return error.by_unit if by_unit else error.norm
 
     def _checked(self, strengths: Any) -> tuple[np.ndarray, Parts]:
         parts = self._require_points()
         rows = check.rows("strengths", strengths, self.kernel.strength_size, self._counts[0])
+        self.ranks.require_same(strengths=rows)
         return rows, parts
 
     def _require_points(self) -> Parts:
@@ -403,7 +424,7 @@ def evaluate(
     targets : (M, 3) array_like, optional
         The sources by default.
     **options
-        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`.
+        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`, `comm`.
 
     Returns
     -------
@@ -416,9 +437,10 @@ def evaluate(
     plan = Plan(kernel, **options)
     if plan._search:
         plan._search.sums = 1
-    points = check.points("points", points)
-    strengths = check.rows("strengths", strengths, kernel.strength_size, len(points))
-    return plan.set_points(points, targets).execute(strengths)
+    with plan.ranks.together():
+        points = check.points("points", points)
+        strengths = check.rows("strengths", strengths, kernel.strength_size, len(points))
+        return plan.set_points(points, targets).execute(strengths)
 
 
 def relative_error(values: np.ndarray, exact: np.ndarray) -> float:

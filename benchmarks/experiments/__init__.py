@@ -9,6 +9,7 @@ from benchmarks.experiments import (
     epsilon,
     growth,
     memory,
+    ranks,
     rods,
     stepping,
     taylor,
@@ -19,6 +20,6 @@ from benchmarks.experiments import (
 ALL = {
     module.__name__.rpartition(".")[2]: module
     for module in (
-        curve, growth, rods, taylor, uneven, epsilon, threads, memory, stepping, carpet,
+        curve, growth, rods, taylor, uneven, epsilon, threads, ranks, memory, stepping, carpet,
     )
 }  # fmt: skip

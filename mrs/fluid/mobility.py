@@ -11,6 +11,7 @@ import treecode as tc
 from mrs import check
 from treecode import Boundary, FreeSpace
 from treecode.accuracy import Parts
+from treecode.ranks import ranks_of
 
 DIRECT = tc.EXACT.backend  # the name of sums of which none are more accurate
 _KINDS: tuple[Any, ...] = tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet  # without, with
@@ -83,18 +84,20 @@ class _Sum:
         targets: np.ndarray,
         bodies: np.ndarray,
         backend: Backend,
+        comm: Any,
     ) -> None:
         self.term, self.sources, self.targets = term, sources, targets
         self._width = width  # of the loads: forces, and torques
         self._same = term.sources is None and np.array_equal(sources, targets)
         own = bodies[targets]
         self._groups = own if (own != own[0]).any() else None
-        self._backend = backend
+        self._backend, self._comm = backend, comm
         self.begin(None)
 
     def begin(self, choice: tc.Choice | None) -> None:
         """Sum by a choice from now on, or choose anew."""
-        self.plan = tc.Plan(self.term.kernel, **self._backend.options(self._backend.tolerance))
+        options = self._backend.options(self._backend.tolerance)
+        self.plan = tc.Plan(self.term.kernel, **options, comm=self._comm)
         if choice is not None:
             self.plan.use(choice)
 
@@ -121,7 +124,8 @@ class _Sum:
         """Return direct sums at other targets, (M, 3)."""
         sources = self.term.sources_of(points[self.sources])
         strengths = self.strengths(points, loads)
-        values = tc.evaluate(self.term.kernel, sources, strengths, targets, backend=DIRECT)
+        arguments = self.term.kernel, sources, strengths, targets
+        values = tc.evaluate(*arguments, backend=DIRECT, comm=self._comm)
         return self.term.flow_of(targets, values)
 
     def refine(
@@ -165,9 +169,12 @@ class Mobility:
         For each sum.
     boundary : treecode.Boundary, optional
         Of the fluid.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks that share the sums.
 
     Attributes
     ----------
+    ranks : treecode.ranks.OneRank
     lock : treecode.Lock
         Held by each user of this object and of its parts.
     """
@@ -182,8 +189,10 @@ class Mobility:
         bodies: np.ndarray,
         backend: Backend,
         boundary: Boundary | None = None,
+        comm: Any = None,
     ) -> None:
         self._backend = backend
+        self.ranks, self._comm = ranks_of(comm), comm
         boundary = boundary or FreeSpace()
         self.lock = tc.Lock()
         self.evaluations = 0
@@ -208,7 +217,7 @@ class Mobility:
                         kernel = kernels[int(spin)]
                         width = kernel.strength_size
                         for term in boundary.terms(kernel):
-                            part = _Sum(term, width, sources, targets, bodies, backend)
+                            part = _Sum(term, width, sources, targets, bodies, backend, comm)
                             self._sums.append(part)
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
@@ -293,9 +302,10 @@ class Mobility:
         strengths = term.strengths_of(own, loads[sources, :width])
         arguments = term.kernel, term.sources_of(own), strengths, targets
         try:
-            values = tc.evaluate(*arguments, **self._backend.options(tolerance))
+            options = self._backend.options(tolerance)
+            values = tc.evaluate(*arguments, **options, comm=self._comm)
         except tc.CancellationError:
-            values = tc.evaluate(*arguments, backend=DIRECT)
+            values = tc.evaluate(*arguments, backend=DIRECT, comm=self._comm)
         return term.flow_of(targets, values)[:, :3]
 
     def infos(self) -> list[dict[str, Any]]:

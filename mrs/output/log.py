@@ -168,9 +168,7 @@ def _value(text: str) -> float | str | None:
 
 def _sampled_error(sim: Simulation) -> float:
     """Return the error of the sums at points drawn at random: it costs a sum and direct ones."""
-    now = sim.now
-    with sim.profile.stage("error samples"):
-        return sim.mobility.sampled_error(now.points, now.loads)
+    return sim.scene.sampled_error(sim.time, sim.state)
 
 
 def _max_speed(sim: Simulation) -> float:

@@ -21,6 +21,7 @@ from mrs.run.resuming import resume, scenario_of
 from mrs.run.scenario import Scenario, ScenarioError
 from mrs.run.simulation import Simulation
 from mrs.run.velocity import write_field
+from treecode.ranks import ranks_of, world
 from treecode.version import __version__
 
 _EPILOG = """\
@@ -50,17 +51,30 @@ _TOLD = (
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line; return the exit status."""
+    """Run the command line; return the exit status.
+
+    Started by mpirun, it is one of several ranks: those that run share the sums, rank 0 writes and
+    speaks, and does alone all that is no run.
+    """
+    comm = world()
+    ranks = ranks_of(comm)
+    if ranks.rank:
+        sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
     options = _parser().parse_args(arguments)
+    options.comm = comm
+    idle = ranks.rank and options.action not in (_run, _resume, _check)
     try:
-        with signals.stopping():
-            status = options.action(options) or 0
+        # Ranks that a signal stops in the midst of a message would wait for each other.
+        with signals.stopping() if ranks.size == 1 else ranks.together():
+            status = 0 if idle else options.action(options) or 0
             sys.stdout.flush()
             return status
     except KeyboardInterrupt as stop:
         going = getattr(options, "going", None)
         advice = f"; go on with `mrs resume {going}`" if going else ""
         print(f"{str(stop) or 'stopped'}{advice}", file=sys.stderr)
+        if not isinstance(stop, signals.Stopped):  # by default, anywhere
+            ranks.abort(128 + signals.CTRL_C)
         return 128 + getattr(stop, "number", signals.CTRL_C)
     except _TOLD as error:
         if isinstance(error, BrokenPipeError) and _reader_is_gone():
@@ -151,13 +165,13 @@ def _run(options: argparse.Namespace) -> int:
         _print_options(scene)
         return 0
     directory = options.output or Path("outputs") / Path(options.scene).stem
-    sim = scene.simulation(directory, overwrite=options.overwrite)
+    sim = scene.simulation(directory, overwrite=options.overwrite, comm=options.comm)
     sim.trackers.extend(_trackers(options))
     options.going = directory
     sim.run(scene.t_end, max_walltime=options.max_walltime)
     options.going = None
     passed = _report(sim, scene, directory)
-    if options.picture:
+    if options.picture and sim.ranks.rank == 0:
         from mrs.output.render import render
 
         render(directory, directory / "picture.png")
@@ -214,6 +228,7 @@ def _resume(options: argparse.Namespace) -> int:
         max_walltime=options.max_walltime,
         changes=options.changes,
         renew_files=options.renew_files,
+        comm=options.comm,
     )
     options.going = None
     passed = _report(sim, scenario_of(options.directory), options.directory)
@@ -245,7 +260,7 @@ def _check(options: argparse.Namespace) -> int:
     passed = True
     for name in names:
         scene = scenario_files.make(name, {}, quick=not options.full)
-        result = scene.check(scene.simulation().run(scene.t_end))
+        result = scene.check(scene.simulation(comm=options.comm).run(scene.t_end))
         print(f"{name}: {result}", flush=True)
         passed &= result.passed
     return 0 if passed else 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ def resume(
     trackers: Iterable[Tracker] = (),
     *,
     changes: bool = False,
+    comm: Any = None,
     **options: Any,
 ) -> Simulation:
     """Go on with a run from its last checkpoint.
@@ -48,6 +50,8 @@ def resume(
         Besides the trackers that write the run.
     changes : bool, optional
         Whether options in config.toml that change the physics may differ from the checkpoint.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks that share the sums, in any number.
     **options
         As for `Simulation.run`: `max_walltime`, `renew_files`.
 
@@ -64,7 +68,7 @@ def resume(
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
     """
-    sim = restart(scenario_of(directory).simulation(directory), changes=changes)
+    sim = restart(scenario_of(directory).simulation(directory, comm=comm), changes=changes)
     sim.trackers.extend(trackers)
     noted = run_directory.read(directory)["run"]["t_end"]
     return sim.run(noted if t_end is None else t_end, **options)
@@ -90,6 +94,8 @@ def restart(sim: Simulation, *, changes: bool = False) -> Simulation:
     """
     if sim.output is None:
         raise ValueError("sim must have an output directory to go on from")
-    directory = Path(sim.output.directory)
-    sim.restore(*checkpoint.load(directory / run_directory.CHECKPOINT), changes=changes)
+    path = Path(sim.output.directory) / run_directory.CHECKPOINT
+    with sim.ranks.together():
+        content = sim.ranks.lead(sim.scene, partial(checkpoint.load, path))
+        sim.restore(*content, changes=changes)
     return sim

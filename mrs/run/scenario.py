@@ -98,9 +98,9 @@ class Scenario(BaseModel):
         raise NotImplementedError
 
     def simulation(
-        self, directory: str | Path | None = None, *, overwrite: bool = False
+        self, directory: str | Path | None = None, *, overwrite: bool = False, comm: Any = None
     ) -> Simulation:
-        """Return the simulation, writing to `directory` if that is given.
+        """Return the simulation, writing to `directory` if that is given, over ranks of `comm`.
 
         A scenario that `find` does not find again (of a notebook, or of the script that runs) is
         not named in config.toml; the run goes on with ``mrs.restart(scenario.simulation(directory))
@@ -125,4 +125,5 @@ class Scenario(BaseModel):
             integrator=self.integrator,
             output=output,
             recipe=recipe | {"options": self.model_dump(mode="json", exclude_none=True)},
+            comm=comm,
         )

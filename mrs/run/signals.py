@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from treecode.ranks import OneRank
+
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
 _STOPPING = [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]
 CTRL_C = int(signal.SIGINT)
@@ -23,16 +25,26 @@ class Stopped(KeyboardInterrupt):
         super().__init__(f"stopped by {signal.Signals(number).name}")
         self.number = number
 
+    def __reduce__(self) -> tuple[type[Stopped], tuple[int]]:
+        return Stopped, (self.number,)
+
 
 class Stopping:
     """The handler of the signals: it raises `Stopped`, at once or after a file is complete.
 
     `asked` is the first signal. An exception of a handler can be lost: in a callback of the garbage
     collector Python prints it and goes on. The loop of a run therefore looks at `asked` as well.
+
+    Ranks stop together: a signal at any of them is noted, and raised where all of them look.
+
+    Parameters
+    ----------
+    ranks : OneRank
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ranks: OneRank) -> None:
         self.asked: int | None = None
+        self._ranks = ranks
         self._writing = self._held = False
         self._last = -_ONE_WISH
 
@@ -51,9 +63,10 @@ class Stopping:
         self.check()
 
     def check(self) -> None:
-        """Raise `Stopped` if that was asked for."""
-        if self.asked is not None:
-            raise Stopped(self.asked)
+        """Raise `Stopped` if that was asked for, at any rank."""
+        for asked in self._ranks.exchange(self.asked):
+            if asked is not None:
+                raise Stopped(asked)
 
     def __call__(self, number: int, frame: FrameType | None) -> None:
         """Handle a signal."""
@@ -61,22 +74,23 @@ class Stopping:
         if first:
             self.asked = number
         if self._held:
-            os.write(2, b"\nstopping; the last files are being written\n")
-        elif first or now - self._last >= _ONE_WISH:
+            if self._ranks.rank == 0:
+                os.write(2, b"\nstopping; the last files are being written\n")
+        elif self._ranks.size == 1 and (first or now - self._last >= _ONE_WISH):
             self._last = now
             if not (first and self._writing):
                 raise Stopped(number)
 
 
 @contextmanager
-def stopping() -> Iterator[Stopping]:
+def stopping(ranks: OneRank | None = None) -> Iterator[Stopping]:
     """Let signals raise `Stopped` here instead of ending the process.
 
     Handlers of the user's own, and signals that are ignored (nohup), are left alone, and so is
     everything outside the main thread, where Python handles no signals. One that has not stopped
     anything yet raises at the end, unless an error is on its way already.
     """
-    handler = Stopping()
+    handler = Stopping(ranks or OneRank())
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {n: old for n in _STOPPING if _is_default(old := signal.getsignal(n))}

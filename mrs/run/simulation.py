@@ -6,7 +6,7 @@ import time as clock
 import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import State
 from mrs.time.stepper import Integrator, Stepper
+from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
@@ -59,6 +60,9 @@ class Simulation:
         Your own, besides the trackers of `output`.
     recipe : dict, optional
         Scenario and options, kept in config.toml, from which `mrs.resume` builds it again.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks of MPI that share the sums. All of them build the same simulation and make the same
+        calls; files are written, and trackers called, by rank 0. See docs/mpi.md.
 
     Attributes
     ----------
@@ -88,6 +92,7 @@ class Simulation:
         output: Output | None = None,
         trackers: Iterable[Tracker] = (),
         recipe: dict[str, Any] | None = None,
+        comm: Any = None,
     ) -> None:
         check.instance("fluid", fluid, Fluid)
         bodies = check.instances("bodies", bodies, Body)
@@ -100,7 +105,7 @@ class Simulation:
         self.output = check.instance("output", output, Output, type(None))
         trackers = check.instances("trackers", trackers, Tracker)
         self.recipe = recipe
-        self.scene = Scene(fluid, bodies, forces, backend)
+        self.scene = Scene(fluid, bodies, forces, backend, comm)
         self.time: float = 0.0
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
@@ -108,8 +113,6 @@ class Simulation:
         self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
-
-    # --- the present state ---------------------------------------------------------------------
 
     @property
     def fluid(self) -> Fluid:
@@ -135,6 +138,11 @@ class Simulation:
     def profile(self) -> Profile:
         """Where the time has gone; print it."""
         return self.scene.profile
+
+    @property
+    def ranks(self) -> OneRank:
+        """The processes that share the sums."""
+        return self.scene.ranks
 
     @property
     def now(self) -> Evaluation:
@@ -164,8 +172,6 @@ class Simulation:
     def frame(self, body: Body) -> tuple[np.ndarray, Arrays, Arrays]:
         """Return the content of a frame of one body: points, arrays at points and at cells."""
         return self.scene.frame(body, self.now)
-
-    # --- storage -------------------------------------------------------------------------------
 
     def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
@@ -256,8 +262,6 @@ class Simulation:
         if changed <= {"integrator"}:
             self.mobility.restore(values["backends"])
 
-    # --- time ----------------------------------------------------------------------------------
-
     def step(self, stop: float) -> None:
         """Take one accepted step, not beyond time `stop`.
 
@@ -329,10 +333,10 @@ class Simulation:
         for tracker in self.trackers:
             check.instance(f"{type(tracker).__name__}.when", tracker.when, Interrupt)
         with ExitStack() as stack:
-            stopping = stack.enter_context(signals.stopping())
+            stopping = stack.enter_context(signals.stopping(self.ranks))
             stack.enter_context(self.profile.stage("remainder"))
             if self.output is not None:
-                self._enter(self.output, renew_files, stack)
+                self.ranks.lead(self.scene, partial(self._enter, self.output, renew_files, stack))
             self._run(max_walltime, stopping)
         return self
 
@@ -378,7 +382,8 @@ class Simulation:
         begun: list[Tracker] = []
         try:
             try:
-                self._go(max_walltime, begun, stopping)
+                with self.ranks.together():
+                    self._go(max_walltime, begun, stopping)
             finally:
                 stopping.hold()  # before anything is finalized, whatever ends the loop
         except BaseException:
@@ -393,27 +398,38 @@ class Simulation:
     ) -> None:
         """Begin with all trackers, which go to `begun`, and step until the end."""
         start = clock.monotonic()
+
+        def seconds() -> float:
+            return self.ranks.first(clock.monotonic() - start)
+
         self.moment = Moment(self.time, self.stepper.steps, 0.0)
         with self.profile.stage("output"):
-            for tracker in self.trackers:
-                begun.append(tracker)
-                tracker.initialize(self)
+            self.ranks.lead(self.scene, partial(self._initialize, begun))
         interrupts = [tracker.when for tracker in self.trackers]
         while self.time < self.t_end:
             before = self.moment
             self.step(next_stop(interrupts, self.time, self.t_end))
-            self.moment = Moment(self.time, self.stepper.steps, clock.monotonic() - start)
+            self.moment = Moment(self.time, self.stepper.steps, seconds())
             with self.profile.stage("output"), stopping.writing():
-                for tracker in self.trackers:
-                    if self.time >= self.t_end or tracker.when.due(before, self):
-                        tracker.handle(self)
-            if max_walltime is not None and clock.monotonic() - start >= max_walltime:
+                self.ranks.lead(self.scene, partial(self._handle, before))
+            if max_walltime is not None and seconds() >= max_walltime:
                 break
+
+    def _initialize(self, begun: list[Tracker]) -> None:
+        for tracker in self.trackers:
+            begun.append(tracker)
+            tracker.initialize(self)
+
+    def _handle(self, before: Moment) -> None:
+        for tracker in self.trackers:
+            if self.time >= self.t_end or tracker.when.due(before, self):
+                tracker.handle(self)
 
     def _finalize(self, trackers: list[Tracker]) -> list[SimulationError]:
         """Let all trackers end their work; return the failures, which do not stop the others."""
-        failures = []
-        with self.profile.stage("output"):
+
+        def finalize() -> list[SimulationError]:
+            failures = []
             for tracker in trackers:
                 try:
                     tracker.finalize(self)
@@ -421,5 +437,9 @@ class Simulation:
                     failure = SimulationError(f"{type(tracker).__name__}.finalize: {error}")
                     failure.__cause__ = error
                     failures.append(failure)
+            return failures
+
+        with self.profile.stage("output"):
+            failures = self.ranks.lead(self.scene, finalize)
         self.resumed = True  # a second call goes on
         return failures

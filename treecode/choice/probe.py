@@ -19,6 +19,8 @@ from treecode.methods import kitc
 from treecode.methods.base import PRECISIONS, Offer
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import Choice
+from treecode.ranks import OneRank
+from treecode.shared_sum import made
 
 # Takes any kernel, is quick, and is far enough off for its error to be seen. The errors of the
 # model are in units of its error: another probe asks for another fit.
@@ -47,6 +49,8 @@ class Probe:
     tol : float
     sums : int
         See `methods.base.Case`.
+    ranks : OneRank
+        That make the sums together.
 
     Raises
     ------
@@ -63,9 +67,10 @@ class Probe:
         parts: Parts,
         tol: float,
         sums: int,
+        ranks: OneRank,
     ) -> None:
         self.kernel, self.sources, self.targets = kernel, sources, targets
-        self.tol, self.sums = tol, sums
+        self.tol, self.sums, self._ranks = tol, sums, ranks
         self.memory: dict[str, Any] = {}
         self._strengths, self._parts, self._model = strengths, parts, Model(kernel)
         self._misses: dict[tuple[str, str], float] = defaultdict(lambda: 1.0)
@@ -80,7 +85,7 @@ class Probe:
         if signs were random: by the size of sums that do not cancel.
         """
         strengths = self._strengths
-        sum_ = direct_sum(self.kernel, self.sources, self._pilots.copy())
+        sum_ = direct_sum(self.kernel, self.sources, self._pilots.copy(), self._ranks)
         exact = sum_.execute(strengths)
         peak = largest(exact)
         rng, spread = np.random.default_rng(0), np.zeros(())
@@ -90,6 +95,7 @@ class Probe:
             spread = np.maximum(spread, self._parts.squares(random, self._drawn))
         size = self._parts.squares(exact / peak, self._drawn)
         loss = float(ratio(spread * (size > 0.0), size).max(initial=0.0))
+        loss = self._ranks.first(loss)
         if _ROUNDING * loss > self.tol:
             why = f"contributions cancel to {1.0 / loss:.1g} of their size"
             raise CancellationError.of(self.tol, _ROUNDING * loss, why)
@@ -97,12 +103,13 @@ class Probe:
 
     def error_of(self, choice: Choice) -> float:
         """Return the error of a sum at the pilots."""
-        sum_ = choice.sum(self.kernel)
+        sum_ = made(choice, self.kernel, self._ranks)
         sum_.set_points(self.sources.copy(), self._pilots.copy())
         values = sum_.execute(self._strengths)
         if not np.isfinite(values).all():  # beyond the range of singles
             return math.inf
-        return float(self._parts.difference(values, self._exact, self._drawn).max())
+        error = float(self._parts.difference(values, self._exact, self._drawn).max())
+        return self._ranks.first(error)
 
     @cached_property
     def scale(self) -> float:

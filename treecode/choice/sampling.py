@@ -10,6 +10,8 @@ from treecode.kernels.base import Kernel
 from treecode.methods.base import Sum
 from treecode.methods.direct import EXACT
 from treecode.pairs import sum_few
+from treecode.ranks import OneRank
+from treecode.shared_sum import made
 from treecode.threads import Threads
 from treecode.traversal import load_weights
 
@@ -20,9 +22,9 @@ _ASTRAY = 2.0  # times the tolerance, from which errors there are looked into
 _PIECE = 1_000_000  # pairs, for which a thread is woken
 
 
-def direct_sum(kernel: Kernel, sources: np.ndarray, targets: np.ndarray) -> Sum:
+def direct_sum(kernel: Kernel, sources: np.ndarray, targets: np.ndarray, ranks: OneRank) -> Sum:
     """Return direct summation over copies of sources, (3, N), at targets, (3, M), its own."""
-    exact = EXACT.sum(kernel)
+    exact = made(EXACT, kernel, ranks)
     exact.set_points(sources.copy(), targets)
     return exact
 
@@ -35,13 +37,15 @@ def sampled_error(
     parts: Parts,
     samples: int,
     seed: int = 0,
+    *,
+    ranks: OneRank,
 ) -> Error:
     """Return the error of a sum that gave `values` for `strengths`, at so many drawn targets."""
     place = np.empty_like(sum_.target_order)
     place[sum_.target_order] = np.arange(len(values))
 
     def exact_at(rows: np.ndarray) -> np.ndarray:
-        exact = direct_sum(kernel, sum_.sources, sum_.targets[:, place[rows]])
+        exact = direct_sum(kernel, sum_.sources, sum_.targets[:, place[rows]], ranks)
         return exact.execute(strengths[sum_.source_order])
 
     return parts.sampled_error(values, exact_at, samples, seed)
@@ -56,6 +60,7 @@ def seems_kept(
     parts: Parts,
     rows: np.ndarray,
     points: np.ndarray,
+    ranks: OneRank,
 ) -> bool:
     """Look at the targets `rows`, which are at `points`, (3, n): a hundredth of a long sum.
 
@@ -71,14 +76,17 @@ def seems_kept(
     exact = np.zeros((kernel.value_size, few))
     weights = np.empty((kernel.weight_size, count))
     sources = sum_.sources
+    own = ranks.share(few)
 
     def sum_some(some: slice) -> None:
-        sum_few(kernel, padded, some.start, some.stop, sources, weights, exact)
+        start, stop = own.start + some.start, own.start + some.stop
+        sum_few(kernel, padded, start, stop, sources, weights, exact)
 
     with Threads(most=1 + few * count // _PIECE) as threads:
         load_weights(kernel, strengths, sum_.source_order, weights, threads)
-        threads(sum_some, few, 1)
-    return parts.seem_within(_ASTRAY * tol, values, exact.T, rows[:few])
+        threads(sum_some, own.stop - own.start, 1)
+    all_exact = ranks.gather(exact.T[own])
+    return ranks.first(parts.seem_within(_ASTRAY * tol, values, all_exact, rows[:few]))
 
 
 def in_given_order(sum_: Sum) -> tuple[np.ndarray, np.ndarray | None]:

@@ -17,6 +17,8 @@ from treecode.kernels.base import Kernel
 from treecode.methods.base import Method, Offer, Sum
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import Choice
+from treecode.ranks import OneRank
+from treecode.shared_sum import made
 
 FEW = 100_000_000  # pairs: a tenth of a second in all, for which no choice is made
 _SAMPLES = 400  # targets at which a sum that was made is looked at
@@ -51,6 +53,8 @@ class Search:
     progress : bool, optional
     sums : int, optional
         Number of sums that share the work done once for all of them, and the choice.
+    ranks : OneRank, optional
+        Those that make the sums together.
     """
 
     kernel: Kernel
@@ -59,6 +63,7 @@ class Search:
     given: Mapping[str, Any] = field(default_factory=dict)
     progress: bool = False
     sums: int = _SUMS
+    ranks: OneRank = field(default_factory=OneRank)
 
     def __call__(
         self,
@@ -75,7 +80,9 @@ class Search:
             With the tolerance that can be had.
         """
         everywhere = sources if targets is None else targets
-        case = Probe(self.kernel, sources, everywhere, strengths, parts, self.tol, self.sums)
+        case = Probe(
+            self.kernel, sources, everywhere, strengths, parts, self.tol, self.sums, self.ranks
+        )
         if self._takes_no_time(sources, everywhere):
             exact = self._make(EXACT, sources, targets)
             return EXACT, exact, exact.execute(strengths)
@@ -84,12 +91,8 @@ class Search:
         while limit > 0.0 and (best := self._cheapest(case, tried, limit)):
             choice = best.choice
             tried.add(choice)
-            try:
-                sum_ = self._make(choice, sources, targets)
-            except ValueError:
-                if len(self.methods) == 1:
-                    raise
-                # It does not take the kernel, or does not fit in memory.
+            sum_ = self._made_or_refused(choice, sources, targets)
+            if sum_ is None:
                 case.learn(best.method.name, best.offer, math.inf)
                 continue
             values = sum_.execute(strengths)
@@ -107,7 +110,10 @@ class Search:
 
     def bound(self, sum_: Sum, strengths: np.ndarray, values: np.ndarray, parts: Parts) -> float:
         """Return a bound that the error of a sum that gave `values` hardly exceeds."""
-        return sampled_error(self.kernel, sum_, strengths, values, parts, _SAMPLES).bound
+        error = sampled_error(
+            self.kernel, sum_, strengths, values, parts, _SAMPLES, ranks=self.ranks
+        )
+        return self.ranks.first(error.bound)
 
     def _takes_no_time(self, sources: np.ndarray, targets: np.ndarray) -> bool:
         """Tell whether all sums together are so little that they are made directly."""
@@ -116,9 +122,24 @@ class Search:
 
     def _make(self, choice: Choice, sources: np.ndarray, targets: np.ndarray | None) -> Sum:
         """Return a sum over copies of the points."""
-        sum_ = choice.sum(self.kernel, self.progress)
+        sum_ = made(choice, self.kernel, self.ranks, self.progress)
         sum_.set_points(sources.copy(), None if targets is None else targets.copy())
         return sum_
+
+    def _made_or_refused(
+        self, choice: Choice, sources: np.ndarray, targets: np.ndarray | None
+    ) -> Sum | None:
+        """Return a sum; None if it does not take the kernel, or does not fit in memory.
+
+        The only method there is says so itself.
+        """
+        try:
+            with self.ranks.together():
+                return self._make(choice, sources, targets)
+        except ValueError:
+            if len(self.methods) == 1:
+                raise
+            return None
 
     def _offers(self, case: Probe) -> Iterator[_Candidate]:
         for method in self.methods:

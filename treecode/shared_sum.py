@@ -1,0 +1,139 @@
+"""A sum whose targets are shared by ranks; points and strengths are known to all of them.
+
+This is algorithm 2 of T. Each rank sums at targets that are neighbours in space, and all are told
+the values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from treecode.kernels.base import Kernel
+from treecode.methods import registry
+from treecode.methods.base import Sum
+from treecode.methods.registry import Choice
+from treecode.ranks import OneRank
+from treecode.timing import Seconds
+
+_BITS = 5  # of a coordinate in each of two codes, which NumPy sorts by their digits
+_SPREAD = np.array(
+    [sum((i >> b & 1) << 3 * b for b in range(_BITS)) for i in range(1 << _BITS)], np.uint16
+)
+
+
+def made(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False) -> Sum:
+    """Return the sum of a choice, without points yet, shared by the ranks."""
+    if ranks.size == 1:
+        return choice.sum(kernel, progress)
+    return SharedSum(choice, kernel, ranks, progress and ranks.rank == 0)
+
+
+def along_curve(points: np.ndarray) -> np.ndarray:
+    """Return the order of points, (3, N), along the curve of Morton through 1024^3 cells."""
+    low, extent = points.min(axis=1), np.ptp(points, axis=1).max()
+    last = (1 << 2 * _BITS) - 1
+    cells = ((points - low[:, None]) * (last / extent if extent > 0.0 else 0.0)).astype(np.uint16)
+    order = np.argsort(_interleaved(cells & (1 << _BITS) - 1), kind="stable")
+    return order[np.argsort(_interleaved(cells >> _BITS)[order], kind="stable")]
+
+
+def _interleaved(cells: np.ndarray) -> np.ndarray:
+    x, y, z = _SPREAD[cells]
+    return x | y << 1 | z << 2
+
+
+class SharedSum:
+    """A `methods.base.Sum` of which each rank makes its share.
+
+    Parameters
+    ----------
+    choice : Choice
+    kernel : Kernel
+    ranks : OneRank
+    progress : bool
+    """
+
+    def __init__(self, choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool) -> None:
+        self._method = registry.get(choice.backend)
+        self._kernel, self._ranks, self._progress = kernel, ranks, progress
+        self._make(self._method.complete(choice.parameters))
+        self._shared = Seconds()
+        self._pairs: tuple[int | None, int | None] = None, None
+        self._received: int | None = None
+        self.effort = 0.0
+
+    def _make(self, parameters: Mapping[str, Any]) -> None:
+        self._own = self._method.make(self._kernel, parameters, self._progress)
+
+    @property
+    def parameters(self) -> Mapping[str, Any]:
+        """Those of the share, which are the same on all ranks."""
+        return self._own.parameters
+
+    @property
+    def seconds(self) -> Mapping[str, float]:
+        """By stage, on this rank: those of its share, and what sharing takes."""
+        return {**self._own.seconds, **self._shared}
+
+    def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
+        """Take points, (3, N) and (3, M): a share of the targets, and all sources.
+
+        What is chosen by the points is chosen by all of them. The outermost targets are in each
+        share, so that no box around points differs.
+        """
+        self._shared, self._pairs, self.effort = Seconds(), (None, None), 0.0
+        self._received = None
+        with self._shared.stage("sharing"):
+            before = self._own.parameters
+            fitted = self._method.fitted(self._kernel, before, sources, targets)
+            parameters = self._ranks.first(fitted)
+            if parameters != before:
+                self._make(parameters)
+            everywhere = sources if targets is None else targets
+            count = everywhere.shape[1]
+            self._order = along_curve(everywhere) if count else np.arange(0)
+            own = self._order[self._ranks.share(count)]
+            self._count = len(own)
+            if targets is not None and count:
+                own = np.concatenate([own, targets.argmin(axis=1), targets.argmax(axis=1)])
+            share = np.ascontiguousarray(everywhere[:, own])
+        self._own.set_points(sources, share)
+        self.sources, self.source_order = self._own.sources, self._own.source_order
+        if targets is None:
+            self.targets, self.target_order = self.sources, self.source_order
+        else:
+            self.targets, self.target_order = targets, np.arange(count)
+
+    def execute(self, strengths: np.ndarray) -> np.ndarray:
+        """Return the sum, (M, value_size), of strengths (N, strength_size), on all ranks."""
+        own = self._own.execute(strengths)[: self._count]
+        info = self._own.info()
+        with self._shared.stage("waiting"):
+            work = self._ranks.exchange(
+                (self._own.effort, info["near_pairs"] or 0, info["far_pairs"] or 0)
+            )
+        self.effort, *pairs = map(sum, zip(*work, strict=True))
+        self._pairs = pairs[0], pairs[1]
+        with self._shared.stage("communication"):
+            gathered = self._ranks.gather(own)
+            values = np.empty_like(gathered)
+            values[self._order] = gathered
+        self._received = gathered.nbytes - own.nbytes
+        return values
+
+    def info(self) -> dict[str, Any]:
+        """Return that of the share, pairs of all ranks, and bytes that came from the others."""
+        near, far = self._pairs
+        own = self._own.info()
+        kept = self._order.nbytes + (0 if self.targets is self.sources else self.targets.nbytes)
+        return {
+            **own,
+            "ranks": self._ranks.size,
+            "near_pairs": near,
+            "far_pairs": far,
+            "bytes": own["bytes"] + kept,
+            "received_bytes": self._received,
+        }
