@@ -119,6 +119,10 @@ plan.execute(forces)
 assert plan.choice == alone.choice
 assert plan.refine(forces, 1e-6) and alone.refine(forces, 1e-6)
 assert plan.choice == alone.choice
+plan.use(tc.EXACT)
+alone.use(tc.EXACT)
+values = [each.set_points(points).execute(forces) for each in (plan, alone)]
+assert np.array_equal(*values)
 
 plan = tc.Plan(kernel, tol=1e-2, comm=comm).set_points(points)
 make = plan._search._make
@@ -344,3 +348,4 @@ def test_neighbours_along_the_curve():
     assert all((np.ptp(piece, axis=1) == 7.0).all() for piece in pieces)
     same = np.ones((3, 5))
     assert np.array_equal(along_curve(same), np.arange(5))
+    assert np.array_equal(along_curve(1e-306 * points), along_curve(points))

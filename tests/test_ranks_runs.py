@@ -117,7 +117,26 @@ assert cli.main(["check", "rod_relaxation"]) == 0
 assert "mpi4py" not in sys.modules
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, stdout=subprocess.DEVNULL)
+
+
+@pytest.mark.parametrize(
+    "environment",
+    [{}, {"SLURM_NTASKS": "8"}, {"PMI_RANK": "0", "PMI_SIZE": "1"}],
+    ids=["no launcher", "in a job", "one rank"],
+)
+def test_one_process_alone(environment, monkeypatch):
+    """Within a job, too, the command may be started without a launcher, or on one rank."""
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
     assert world() is None
+
+
+def test_several_ranks_need_mpi4py(monkeypatch):
+    """Otherwise each of them would do all of the work."""
+    monkeypatch.setenv("PMI_RANK", "0")
+    monkeypatch.setitem(sys.modules, "mpi4py", None)
+    with pytest.raises(ImportError, match="pip install mpi4py"):
+        world()
 
 
 SCRIPT = """

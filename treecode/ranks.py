@@ -19,7 +19,9 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _T = TypeVar("_T")
 _NEEDED = "rank", "size", "allgather", "Allgatherv", "Abort"  # of a communicator
-_LAUNCHED = "PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK"  # set by mpirun and by srun
+# Set by mpirun and by srun.
+_LAUNCHED = "PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK"
+_SIZES = "PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"
 _TOLD = "told_by_rank"  # attribute of an error that all ranks know of: the rank that it comes from
 _BLOCKS = 64  # of an array, whose sums tell it from another
 
@@ -196,8 +198,15 @@ class RemoteError(Exception):
 
 
 def world() -> Any:
-    """Return the communicator of all ranks that an MPI launcher has started, None without one."""
-    if not any(name in os.environ for name in _LAUNCHED):
+    """Return the communicator of all ranks that a launcher of MPI has started, None for one alone.
+
+    Raises
+    ------
+    ImportError
+        If there are others, and no mpi4py.
+    """
+    launched = any(name in os.environ for name in _LAUNCHED)
+    if not launched or any(os.environ.get(name) == "1" for name in _SIZES):
         return None
     try:
         from mpi4py import MPI

@@ -35,7 +35,7 @@ def along_curve(points: np.ndarray) -> np.ndarray:
     """Return the order of points, (3, N), along the curve of Morton through 1024^3 cells."""
     low, extent = points.min(axis=1), np.ptp(points, axis=1).max()
     last = (1 << 2 * _BITS) - 1
-    cells = ((points - low[:, None]) * (last / extent if extent > 0.0 else 0.0)).astype(np.uint16)
+    cells = ((points - low[:, None]) / (extent or 1.0) * last).astype(np.uint16)
     order = np.argsort(_interleaved(cells & (1 << _BITS) - 1), kind="stable")
     return order[np.argsort(_interleaved(cells >> _BITS)[order], kind="stable")]
 
