@@ -59,11 +59,12 @@ class QuadraticFlow:
 
     def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the velocity at points, (N, 3)."""
-        linear = self.constant + points @ self.gradient.T
-        if not self.quadratic.any():
-            return linear
-        products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
-        return linear + products @ self.quadratic.reshape(3, 9).T
+        velocity = points @ self.gradient.T
+        velocity += self.constant
+        if self.quadratic.any():
+            products = (points[:, :, None] * points[:, None, :]).reshape(-1, 9)
+            velocity += products @ self.quadratic.reshape(3, 9).T
+        return velocity
 
     def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the curl of the velocity, (N, 3)."""
