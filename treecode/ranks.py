@@ -249,6 +249,8 @@ def in_step(method: Callable[Concatenate[_S, _P], _R]) -> Callable[Concatenate[_
 
     @wraps(method)
     def with_others(self: _S, /, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        if self.ranks.size == 1:  # without a context: it would be 1 % of a small sum
+            return method(self, *arguments, **options)
         with self.ranks.together():
             return method(self, *arguments, **options)
 
@@ -260,6 +262,8 @@ def joint(method: Callable[Concatenate[_S, _P], _R]) -> Callable[Concatenate[_S,
 
     @wraps(method)
     def with_others(self: _S, /, *arguments: _P.args, **options: _P.kwargs) -> _R:
+        if self.ranks.size == 1:
+            return method(self, *arguments, **options)
         with self.ranks.call(method.__name__, arguments):
             return method(self, *arguments, **options)
 

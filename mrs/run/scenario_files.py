@@ -13,7 +13,6 @@ from typing import Any
 
 from mrs import check
 from mrs.output import run_directory
-from mrs.run import toml_scene
 from mrs.run.scenario import Scenario, ScenarioError
 
 FILE_PREFIX = "file_"  # of the module made of a scenario in a file
@@ -44,7 +43,9 @@ def find(name: str) -> type[Scenario]:
     if in_file:
         return _only(import_file("scenario", Path(in_file[1])), name, in_file[2])
     if name == "scene":
-        return toml_scene.scene()
+        from mrs.run.toml_scene import scene  # its models take a while to make
+
+        return scene()
     if name not in known():
         raise ScenarioError(
             f"scenario: {name!r} is not known{check.nearest(name, known())}; "
@@ -61,7 +62,7 @@ def name_of(scenario: type[Scenario]) -> str | None:
     package, _, module = scenario.__module__.rpartition(".")
     if package == PACKAGE:
         return module
-    if scenario.__module__ == toml_scene.__name__:
+    if scenario.__module__ == "mrs.run.toml_scene":
         return "scene"
     found = sys.modules.get(scenario.__module__)
     path = getattr(found, "__file__", None)
