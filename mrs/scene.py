@@ -9,12 +9,11 @@ import numpy as np
 
 from mrs import check
 from mrs.bodies import Body
-from mrs.bodies.base import Arrays
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility
 from mrs.forces import Force
 from mrs.profile import Profile
-from mrs.time.state import State
+from mrs.time.state import Arrays, State
 from treecode.ranks import joint
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
@@ -129,21 +128,12 @@ class Scene:
     def _evaluate(self, time: float, state: State) -> Evaluation:
         points = self.layout.points(state)
         loads = self._loads(time, state, points)
-        if not check.computable(points, loads):  # the stepper rejects the step, or stops
-            lost = np.full_like(loads, np.nan)
-            return Evaluation(
-                time, state, points, loads, lost, self.layout.rates(time, state, lost)
-            )
-        motion = self._sum(points, loads)
-        if self.fluid.background is not None:
-            name = self.layout.point_name
-            with self.profile.stage("background"):
-                motion[:, :3] += self.fluid.flow("velocity", points, time, name)
-                if self.layout.width == 6:
-                    motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, name)
-        return Evaluation(
-            time, state, points, loads, motion, self.layout.rates(time, state, motion)
-        )
+        if check.computable(points, loads):
+            motion = self._motion(time, points, loads)
+        else:  # the stepper rejects the step, or stops
+            motion = np.full_like(loads, np.nan)
+        rates = self.layout.rates(time, state, motion)
+        return Evaluation(time, state, points, loads, motion, rates)
 
     def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
         """Return the loads of the bodies, and the forces between them."""
@@ -163,6 +153,17 @@ class Scene:
             return f"at {self.layout.point_name(int(self.layout.forced[row]))} and time {time:g}"
 
         return check.vectors(f"force {force.kind!r}", values, len(self.layout.forced), where)
+
+    def _motion(self, time: float, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Return the motion that the loads cause, and that of the background."""
+        motion = self._sum(points, loads)
+        if self.fluid.background is not None:
+            name = self.layout.point_name
+            with self.profile.stage("background"):
+                motion[:, :3] += self.fluid.flow("velocity", points, time, name)
+                if self.layout.width == 6:
+                    motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, name)
+        return motion
 
     def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         if not self.mobility.evaluations:

@@ -17,6 +17,13 @@ def test_cases_differ(name, quick):
     assert len(set(cases)) == len(cases) > 1
 
 
+@pytest.mark.parametrize("name", ALL)
+def test_tables_without_rows_have_a_header(name):
+    """It is made of the same functions as the rows."""
+    title, rule = ALL[name].table([])
+    assert title.count("|") == rule.count("|") > 4
+
+
 def test_a_stopped_run_goes_on(tmp_path):
     done = []
 

@@ -18,7 +18,7 @@ import mrs
 from mrs.output import checkpoint
 from mrs.output.checkpoint import Checkpoints
 from mrs.output.trajectory import Trajectory
-from mrs.run import cli, scenario_files, signals
+from mrs.run import cli, scenario, scenario_files, signals
 from mrs.run.resuming import scenario_of
 
 ROOT = Path(__file__).parents[1]
@@ -191,9 +191,9 @@ def test_classes_that_cannot_be_found_again():
     class Local(mrs.Scenario):
         pass
 
-    assert scenario_files.name_of(Local) is None
-    assert scenario_files.name_of(type("Made", (mrs.Scenario,), {"__module__": "nowhere"})) is None
-    assert scenario_files.name_of(scenario_files.find("cilia_array")) == "cilia_array"
+    assert scenario.name_of(Local) is None
+    assert scenario.name_of(type("Made", (mrs.Scenario,), {"__module__": "nowhere"})) is None
+    assert scenario.name_of(scenario_files.find("cilia_array")) == "cilia_array"
 
 
 # --- signals ----------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from benchmarks.experiments.curve import treecode
 from benchmarks.methods import FMM, KITC, TAYLOR
 from benchmarks.on_ranks import on_ranks
 from benchmarks.rows import Row
+from mrs import markdown
 
 measure = on_ranks
 
@@ -33,13 +34,13 @@ def cases(quick: bool) -> Iterator[Row]:
         yield organisms | {"backend": FMM, "tol": 3e-5}
 
 
-def table(rows: list[Row]) -> str:
-    """Return a row for each sum."""
+def table(rows: list[Row]) -> Iterator[str]:
+    """Yield the lines of a table, a row for each sum."""
     header = (
         f"{tables.CASE},E,1 rank (s),2 ranks (s),efficiency (%),paper: efficiency (%),"
         "waiting (%),communication (%),MB received"
     )
-    return tables.table(header.split(","), map(_line, rows))
+    return markdown.table(header.split(","), map(_line, rows))
 
 
 def _line(row: Row) -> list[str]:

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 
 from mrs.describe import described, own_code
-from mrs.time.state import State
-
-Arrays = dict[str, np.ndarray]
+from mrs.time.state import Arrays, State
 
 
 class Body:

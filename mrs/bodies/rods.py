@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
-from mrs.bodies.base import Arrays, Body
+from mrs.bodies.base import Body
 from mrs.bodies.geometry import Centerline
-from mrs.time.state import State
+from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
 

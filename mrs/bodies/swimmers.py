@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 from mrs.bodies import geometry
-from mrs.bodies.base import Arrays, Body
-from mrs.time.state import State
+from mrs.bodies.base import Body
+from mrs.time.state import Arrays, State
 
 _AXIS = np.array([[0.0, 0.0, 1.0]])
 

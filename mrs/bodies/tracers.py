@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check
-from mrs.bodies.base import Arrays, Body
-from mrs.time.state import State
+from mrs.bodies.base import Body
+from mrs.time.state import Arrays, State
 
 
 @check.spelling
@@ -45,14 +43,6 @@ class Tracers(Body):
         """Return the fluid's velocity."""
         return velocity, np.empty((0, 3))
 
-    def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
-        """Return one vertex a tracer."""
-        return np.arange(len(self.positions)), []
-
     def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return each tracer's number."""
         return {"tracer_id": np.arange(len(self.positions))}, {}
-
-    def fields(self, time: float, state: State, **at_points: Any) -> tuple[Arrays, Arrays]:
-        """Return velocity."""
-        return {"velocity": at_points["velocity"]}, {}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -73,22 +73,41 @@ class Backend:
         }
 
 
+class _Sources(NamedTuple):
+    """Points of one blob size, all with torques or all without, as sources of one term."""
+
+    term: tc.Term
+    width: int
+    """Columns of the loads that the kernel takes: forces, and torques."""
+    rows: np.ndarray
+
+    def at(self, points: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the sources of the term, (n, 3), and their strengths."""
+        own = points[self.rows]
+        strengths = self.term.strengths_of(own, loads[self.rows, : self.width])
+        return self.term.sources_of(own), strengths
+
+    def flow(
+        self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray, **options: Any
+    ) -> np.ndarray:
+        """Return the part of the flow at any targets, (M, 3), by one sum with such options."""
+        arguments = self.term.kernel, *self.at(points, loads), targets
+        return self.term.flow_of(targets, tc.evaluate(*arguments, **options))
+
+
 class _Sum:
-    """One fast sum: sources of one blob size, all with torques or all without, to some targets."""
+    """One fast sum, over some sources at some of the points."""
 
     def __init__(
         self,
-        term: tc.Term,
-        width: int,
-        sources: np.ndarray,
+        sources: _Sources,
         targets: np.ndarray,
         bodies: np.ndarray,
         backend: Backend,
         comm: Any,
     ) -> None:
-        self.term, self.sources, self.targets = term, sources, targets
-        self._width = width  # of the loads: forces, and torques
-        self._same = term.sources is None and np.array_equal(sources, targets)
+        self.sources, self.targets = sources, targets
+        self._same = sources.term.sources is None and np.array_equal(sources.rows, targets)
         own = bodies[targets]
         self._groups = own if (own != own[0]).any() else None
         self._backend, self._comm = backend, comm
@@ -97,56 +116,41 @@ class _Sum:
     def begin(self, choice: tc.Choice | None) -> None:
         """Sum by a choice from now on, or choose anew."""
         options = self._backend.options(self._backend.tolerance)
-        self.plan = tc.Plan(self.term.kernel, **options, comm=self._comm)
+        self.plan = tc.Plan(self.sources.term.kernel, **options, comm=self._comm)
         if choice is not None:
             self.plan.use(choice)
 
-    def strengths(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        """Return the part of the loads, (N, 6), that the kernel takes, as the term turns it."""
-        strengths = loads[self.sources, : self._width]
-        if self.term.strengths is None:
-            return strengths
-        return self.term.strengths(points[self.sources], strengths)
-
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        self._place(points)
-        strengths = self.strengths(points, loads)
+        sources, strengths = self.sources.at(points, loads)
+        targets = self._place(sources, points)
         try:
             values = self.plan.execute(strengths)
         except tc.CancellationError:
-            self._sum_directly(points)
+            self._sum_directly(sources, points)
             values = self.plan.execute(strengths)
-        if self.term.values is None:
-            return values
-        return self.term.values(points[self.targets], values)
-
-    def exact(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Return direct sums at other targets, (M, 3)."""
-        sources = self.term.sources_of(points[self.sources])
-        strengths = self.strengths(points, loads)
-        arguments = self.term.kernel, sources, strengths, targets
-        values = tc.evaluate(*arguments, backend=DIRECT, comm=self._comm)
-        return self.term.flow_of(targets, values)
+        return self.sources.term.flow_of(targets, values)
 
     def refine(
         self, points: np.ndarray, loads: np.ndarray, tolerance: float, flow: np.ndarray
     ) -> None:
         """Sample the error of the last sum, and choose another way to sum if it is too large."""
-        values = flow if self.term.values is None else None
+        values = flow if self.sources.term.values is None else None
+        sources, strengths = self.sources.at(points, loads)
         try:
-            self.plan.refine(self.strengths(points, loads), tolerance, values)
+            self.plan.refine(strengths, tolerance, values)
         except tc.CancellationError:
-            self._sum_directly(points)
+            self._sum_directly(sources, points)
 
-    def _place(self, points: np.ndarray) -> None:
-        targets = None if self._same else points[self.targets]
-        sources = self.term.sources_of(points[self.sources])
-        self.plan.set_points(sources, targets, self._groups)
+    def _place(self, sources: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Set the sources, (n, 3), and return the targets among all points, (M, 3)."""
+        targets = sources if self._same else points[self.targets]
+        self.plan.set_points(sources, None if self._same else targets, self._groups)
+        return targets
 
-    def _sum_directly(self, points: np.ndarray) -> None:
+    def _sum_directly(self, sources: np.ndarray, points: np.ndarray) -> None:
         """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""
         self.plan.use(tc.EXACT)
-        self._place(points)
+        self._place(sources, points)
 
 
 class Mobility:
@@ -198,7 +202,7 @@ class Mobility:
         self.evaluations = 0
         self._bodies, self._spinning = bodies, spinning
         self._sums: list[_Sum] = []
-        self._sources: list[tuple[tc.Term, int, np.ndarray]] = []
+        self._sources: list[_Sources] = []
         # Bodies without forces have their own sums: among the sources their error would not count.
         together = np.where(forced, -1, bodies)
         for epsilon in np.unique(epsilons[forced]):
@@ -207,18 +211,13 @@ class Mobility:
                 if not len(sources):
                     continue
                 kernels = [kind(float(epsilon), viscosity) for kind in _KINDS]
-                width = kernels[torque].strength_size
-                terms = boundary.terms(kernels[torque])
-                self._sources += [(term, width, sources) for term in terms]
+                self._sources += _terms(boundary, kernels[torque], sources)
                 rotlet = spinning | torque
                 for body in np.unique(together):
                     for spin in np.unique(rotlet[together == body]):
                         targets = np.flatnonzero((together == body) & (rotlet == spin))
-                        kernel = kernels[int(spin)]
-                        width = kernel.strength_size
-                        for term in boundary.terms(kernel):
-                            part = _Sum(term, width, sources, targets, bodies, backend, comm)
-                            self._sums.append(part)
+                        for part in _terms(boundary, kernels[int(spin)], sources):
+                            self._sums.append(_Sum(part, targets, bodies, backend, comm))
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
@@ -279,34 +278,27 @@ class Mobility:
         direct ones for any tolerance, since no others are more accurate.
         """
         tolerance, flow = self._backend.tolerance, (points, loads, targets)
-        outs = [self._velocity_once(flow, *part, tolerance) for part in self._sources]
+        outs = [self._velocity_once(part, flow, tolerance) for part in self._sources]
         if len(outs) > 1 and self._backend.degree is None:
             squares = np.array([[np.vdot(out, out)] for out in outs])
             total = np.sum(outs, axis=0)
             shares = _shares(tolerance, squares, np.array([np.vdot(total, total)]))
             for k, share in enumerate(shares):
                 if share < tolerance:
-                    outs[k] = self._velocity_once(flow, *self._sources[k], share)
+                    outs[k] = self._velocity_once(self._sources[k], flow, share)
         return sum(outs, np.zeros_like(targets))
 
     def _velocity_once(
         self,
+        sources: _Sources,
         flow: tuple[np.ndarray, np.ndarray, np.ndarray],
-        term: tc.Term,
-        width: int,
-        sources: np.ndarray,
         tolerance: float,
     ) -> np.ndarray:
-        points, loads, targets = flow
-        own = points[sources]
-        strengths = term.strengths_of(own, loads[sources, :width])
-        arguments = term.kernel, term.sources_of(own), strengths, targets
         try:
-            options = self._backend.options(tolerance)
-            values = tc.evaluate(*arguments, **options, comm=self._comm)
+            values = sources.flow(*flow, **self._backend.options(tolerance), comm=self._comm)
         except tc.CancellationError:
-            values = tc.evaluate(*arguments, backend=DIRECT, comm=self._comm)
-        return term.flow_of(targets, values)[:, :3]
+            values = sources.flow(*flow, backend=DIRECT, comm=self._comm)
+        return values[:, :3]
 
     def infos(self) -> list[dict[str, Any]]:
         """Return `treecode.Plan.info` of each sum in the last evaluation."""
@@ -348,7 +340,8 @@ class Mobility:
             exact = np.zeros((len(rows), loads.shape[1]))
             for part in self._sums:
                 own = np.isin(rows, part.targets)
-                out = part.exact(points, loads, points[rows[own]])
+                some = points, loads, points[rows[own]]
+                out = part.sources.flow(*some, backend=DIRECT, comm=self._comm)
                 exact[own, : out.shape[1]] += out
             return wanted[rows] * exact
 
@@ -364,6 +357,11 @@ class Mobility:
         for part, tolerance, out in zip(self._sums, needed, outs, strict=False):
             part.refine(points, loads, tolerance, out)
         return self.choices != before
+
+
+def _terms(boundary: Boundary, kernel: tc.Kernel, rows: np.ndarray) -> list[_Sources]:
+    """Return the sources of each term that makes the flow within a boundary."""
+    return [_Sources(term, kernel.strength_size, rows) for term in boundary.terms(kernel)]
 
 
 def _shares(tolerance: float, terms: np.ndarray, total: np.ndarray) -> np.ndarray:

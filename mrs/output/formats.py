@@ -10,7 +10,7 @@ from mrs.output import pvd, run_directory, vtkhdf
 from mrs.output.atomic import DamagedError
 from mrs.output.frame_files import BodyFile
 from mrs.output.stored import fluid_meta
-from mrs.output.topology import Topology, same_topology
+from mrs.output.topology import same_topology
 from mrs.output.trajectory import Trajectory
 from mrs.registry import Registry
 
@@ -44,7 +44,7 @@ class VtkhdfFile(BodyFile):
                 raise DamagedError(
                     self.path, f"is of another scene: it has {found.size} points, not {points}"
                 )
-            if not same_topology(found.topology, Topology(*self.body.topology())):
+            if not same_topology(found.topology, self.topology):
                 raise DamagedError(
                     self.path, "is of another scene: other points are joined by lines"
                 )
@@ -55,8 +55,7 @@ class VtkhdfFile(BodyFile):
             return vtkhdf.cut(self.path, sim.time)
         fluid = fluid_meta(sim.fluid, sim.backend.tolerance)
         meta = {"kind": self.body.kind, **run_directory.versions(), **_META, **fluid}
-        topology = Topology(*self.body.topology())
-        vtkhdf.create(self.path, topology, *sim.scene.constant_fields(self.body), meta)
+        vtkhdf.create(self.path, self.topology, *sim.scene.constant_fields(self.body), meta)
         return None
 
     def write(self, sim: Simulation) -> None:
@@ -91,8 +90,7 @@ class PvdFile(BodyFile):
         pairs = zip(sim.scene.constant_fields(self.body), varying, strict=True)
         arrays = (constant | changing for constant, changing in pairs)
         run_directory.note(self.path.parent, pvd.next_frame(self.path))
-        topology = Topology(*self.body.topology())
-        pvd.append(self.path, sim.time, topology, points, *arrays)
+        pvd.append(self.path, sim.time, self.topology, points, *arrays)
 
     @classmethod
     def summary(cls, path: Path) -> dict[str, Any]:

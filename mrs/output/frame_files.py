@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mrs.output.atomic import DamagedError, WriteError
+from mrs.output.topology import Topology
 from mrs.output.trackers import Tracker
 from mrs.time.interrupts import Interval
 
@@ -92,6 +94,11 @@ class BodyFile(FrameFile):
     def __init__(self, directory: Path, body: Body) -> None:
         super().__init__(directory / f"{body.name}{self.suffix}")
         self.body = body
+
+    @cached_property
+    def topology(self) -> Topology:
+        """Points and lines of the body, which are the same in all frames."""
+        return Topology(*self.body.topology())
 
     @classmethod
     def summary(cls, path: Path) -> dict[str, Any]:

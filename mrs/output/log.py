@@ -65,7 +65,11 @@ def times(path: str | os.PathLike[str]) -> list[float]:
         If it is not a log; the message names the line.
     """
     path = Path(path)
-    lines = _lines(path)
+    return _times(path, _lines(path))
+
+
+def _times(path: Path, lines: list[list[str]]) -> list[float]:
+    """Return the times of the rows, given the cells of the complete lines."""
     if not lines:
         return []
     header, *rows = lines
@@ -108,10 +112,10 @@ def cut(path: str | os.PathLike[str], time: float) -> float | None:
     path = Path(path)
     if not path.exists():
         return None
-    header, *rows = _lines(path) or [[]]
-    left = [
-        (row, t) for row, t in zip(rows, times(path), strict=True) if t <= time or _same(t, time)
-    ]
+    lines = _lines(path)
+    header, *rows = lines or [[]]
+    pairs = zip(rows, _times(path, lines), strict=True)
+    left = [(row, t) for row, t in pairs if t <= time or _same(t, time)]
     text = _text([header, *(row for row, _ in left)]) if header else ""
     if text.encode() != path.read_bytes():
         with replacing(path) as temporary:
@@ -210,11 +214,11 @@ class LogFile(FrameFile):
         self.when, self.columns = when, {**COLUMNS, **columns}
 
     def times(self, sim: Simulation) -> list[float]:
-        found = times(self.path)
-        header = next(iter(_lines(self.path)), [*self.columns])
-        if found and header != [*self.columns]:
-            wanted = ", ".join(self.columns)
-            raise DamagedError(self.path, f"has the columns {', '.join(header)}, not {wanted}")
+        lines = _lines(self.path)
+        found = _times(self.path, lines)
+        if found and lines[0] != [*self.columns]:
+            has, wanted = ", ".join(lines[0]), ", ".join(self.columns)
+            raise DamagedError(self.path, f"has the columns {has}, not {wanted}")
         return found
 
     def cut(self, sim: Simulation) -> float | None:

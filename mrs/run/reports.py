@@ -21,7 +21,7 @@ class Progress(Tracker):
     """A bar of simulated time, which starts after the first evaluation: compilation is left out."""
 
     def initialize(self, sim: Simulation) -> None:
-        assert sim.now
+        sim.scene.evaluate(sim.time, sim.state)
         self._bar = tqdm(total=sim.t_end, initial=sim.time, unit="t", disable=None, bar_format=_BAR)
 
     def handle(self, sim: Simulation) -> None:

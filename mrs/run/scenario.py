@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -15,6 +16,8 @@ from mrs.output.options import Output
 from mrs.run.option_errors import explain
 from mrs.run.simulation import Simulation
 from mrs.time.stepper import Integrator
+
+PACKAGE = "mrs.scenarios"  # those that come with the project: found by name, not imported
 
 
 class ScenarioError(ValueError):
@@ -116,8 +119,6 @@ class Scenario(BaseModel):
                 self.formats,
                 self.log_columns,
             )
-        from mrs.run.scenario_files import name_of  # which reads scenarios itself
-
         name = name_of(type(self))
         recipe = {} if name is None else {"scenario": name}
         return self.build(
@@ -127,3 +128,24 @@ class Scenario(BaseModel):
             recipe=recipe | {"options": self.model_dump(mode="json", exclude_none=True)},
             comm=comm,
         )
+
+
+def name_of(scenario: type[Scenario]) -> str | None:
+    """Return the name for `scenario_files.find`; None if only the class's own program can make it.
+
+    The main program counts as such, although it has a file: to import a script is to run it again.
+    """
+    package, _, module = scenario.__module__.rpartition(".")
+    if package == PACKAGE:
+        return module
+    if scenario.__module__ == "mrs.run.toml_scene":
+        return "scene"
+    found = sys.modules.get(scenario.__module__)
+    path = getattr(found, "__file__", None)
+    if (
+        scenario.__module__ == "__main__"
+        or path is None
+        or vars(found).get(scenario.__name__) is not scenario
+    ):
+        return None
+    return f"{Path(path).resolve()}:{scenario.__name__}"

@@ -13,10 +13,9 @@ from typing import Any
 
 from mrs import check
 from mrs.output import run_directory
-from mrs.run.scenario import Scenario, ScenarioError
+from mrs.run.scenario import PACKAGE, Scenario, ScenarioError
 
 FILE_PREFIX = "file_"  # of the module made of a scenario in a file
-PACKAGE = "mrs.scenarios"  # those that come with the project: found by name, not imported
 
 
 def known() -> list[str]:
@@ -52,27 +51,6 @@ def find(name: str) -> type[Scenario]:
             f"there are {', '.join(known())}"
         )
     return _only(importlib.import_module(f"{PACKAGE}.{name}"), name)
-
-
-def name_of(scenario: type[Scenario]) -> str | None:
-    """Return the name for `find`; None for a class that only its own program can make.
-
-    The main program counts as such, although it has a file: to import a script is to run it again.
-    """
-    package, _, module = scenario.__module__.rpartition(".")
-    if package == PACKAGE:
-        return module
-    if scenario.__module__ == "mrs.run.toml_scene":
-        return "scene"
-    found = sys.modules.get(scenario.__module__)
-    path = getattr(found, "__file__", None)
-    if (
-        scenario.__module__ == "__main__"
-        or path is None
-        or vars(found).get(scenario.__name__) is not scenario
-    ):
-        return None
-    return f"{Path(path).resolve()}:{scenario.__name__}"
 
 
 def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario:
@@ -135,6 +113,19 @@ def _only(module: Any, name: str, wanted: str | None = None) -> type[Scenario]:
 
 
 def import_file(option: str, path: Path) -> Any:
+    """Return the module of a Python file, which is executed.
+
+    Parameters
+    ----------
+    option : str
+        That names the file, for the message.
+    path : Path
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such file.
+    """
     if not path.is_file():
         raise ScenarioError(f"{option}: there is no file {str(path)!r}")
     loader = importlib.machinery.SourceFileLoader(FILE_PREFIX + path.stem, str(path))

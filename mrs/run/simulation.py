@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 
 from mrs import check
 from mrs.bodies import Body
-from mrs.bodies.base import Arrays
 from mrs.describe import described, differences
 from mrs.fluid import Backend, Fluid, Mobility
 from mrs.forces import Force
@@ -28,11 +27,12 @@ from mrs.run.failures import SimulationError, explained, require_whole
 from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
-from mrs.time.state import State
+from mrs.time.state import Arrays, State, below
 from mrs.time.stepper import Integrator, Stepper
 from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
+_INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
 _WRITING = ("interval", "checkpoint_seconds", "formats", "columns")
 # Of the options of a scenario.
@@ -176,7 +176,7 @@ class Simulation:
     def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
         arrays, history = self.stepper.history()
-        arrays = {f"integrator/{name}": array for name, array in arrays.items()}
+        arrays = {_INTEGRATOR + name: array for name, array in arrays.items()}
         values = {
             "time": self.time,
             "integrator": history,
@@ -253,10 +253,8 @@ class Simulation:
         changed = {d.place.partition(".")[0] for d in found} - {"output"}
         self.time, self.state, self.resumed = values["time"], state, True
         self.written = dict(values["written"])
-        prefix = "integrator/"
-        own = {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
         if changed <= {"backend"}:
-            self.stepper.restore(own, values["integrator"])
+            self.stepper.restore(below(arrays, _INTEGRATOR), values["integrator"])
         else:
             self.stepper.restore_counts(values["integrator"])
         if changed <= {"integrator"}:

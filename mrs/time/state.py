@@ -13,6 +13,14 @@ import numpy as np
 
 from mrs import rotations
 
+Arrays = dict[str, np.ndarray]
+"""Arrays by name."""
+
+
+def below(arrays: Arrays, prefix: str) -> Arrays:
+    """Return the arrays whose names begin with a prefix, by the rest of their names."""
+    return {k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)}
+
 
 class State(NamedTuple):
     """Positions, (P, 3), and quaternions, (Q, 4), of all bodies one after the other."""

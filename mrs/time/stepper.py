@@ -12,9 +12,8 @@ import numpy as np
 
 from mrs import check
 from mrs.time.integrators import METHODS, Problem
-from mrs.time.integrators.base import Arrays
 from mrs.time.integrators.spectral import MARGIN, spectral_radius
-from mrs.time.state import State
+from mrs.time.state import Arrays, State, below
 
 _SAFETY = 0.8  # of step sizes against the error and the stability limit
 _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: lengths of bodies, radians
@@ -93,12 +92,12 @@ class Stepper:
         self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
         self.h: float | None = None
-        self.taken = 0.0
+        self.taken: float = 0.0
         self.radius = 0.0
         self.vector: np.ndarray | None = None
         self.memory: Arrays | None = None
-        self.steps = 0
-        self.rejections = 0
+        self.steps: int = 0
+        self.rejections: int = 0
         self._renew_at = 0
         self._warned = False
 
@@ -117,8 +116,7 @@ class Stepper:
     def restore(self, arrays: Arrays, values: dict[str, Any]) -> None:
         """Take up a history."""
         self.vector = arrays.get("vector")
-        own = {k.removeprefix(_MEMORY): v for k, v in arrays.items() if k.startswith(_MEMORY)}
-        self.memory = own or None
+        self.memory = below(arrays, _MEMORY) or None
         self.h, self.taken, self.radius = values["h"], values["taken"], values["radius"]
         self.steps, self.rejections = values["steps"], values["rejections"]
         self._renew_at = values["renew_at"]

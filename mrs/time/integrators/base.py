@@ -7,8 +7,9 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from mrs.time.state import Arrays
+
 RightHandSide = Callable[[float, np.ndarray], np.ndarray]
-Arrays = dict[str, np.ndarray]
 
 
 class Problem(NamedTuple):

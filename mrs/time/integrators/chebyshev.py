@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mrs.time.integrators.base import Arrays, Problem, Step
+from mrs.time.integrators.base import Problem, Step
 from mrs.time.integrators.spectral import MARGIN
+from mrs.time.state import Arrays
 
 _DAMPING = 2.0 / 13.0
 _MAX_STAGES = 250

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from mrs.time.integrators.base import Arrays, Problem, Step
+from mrs.time.integrators.base import Problem, Step
+from mrs.time.state import Arrays
 
 Tree = tuple[Any, ...]  # a rooted tree: the tuple of the trees at its root
 
