@@ -219,7 +219,7 @@ def test_signals_stop_a_run_in_good_order(name, tmp_path):
     process = begun(run)
     process.send_signal(getattr(signal, name))
     _, error = process.communicate(timeout=60)
-    assert process.returncode == 128 + getattr(signal, name)
+    assert process.returncode == 128 + getattr(signal, name), error
     assert f"stopped by {name}; go on with `mrs resume {run}`" in error
     assert "Traceback" not in error
     found = mrs.info(run)
@@ -332,17 +332,52 @@ def test_several_signals_at_once_are_one_wish():
 def test_a_signal_whose_exception_is_lost():
     """Python only prints what is raised in a callback of the garbage collector."""
 
-    class Lost(mrs.Tracker):
+    def lost():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+
+    with pytest.raises(signals.Stopped, match="SIGTERM"), signals.stopping():
+        lost()
+
+
+def test_a_signal_before_the_first_step():
+    """While trackers begin: the run is not begun then."""
+
+    class Early(mrs.Tracker):
         when = mrs.Interval(10.0)
 
         def initialize(self, sim):
-            with contextlib.suppress(KeyboardInterrupt):
-                signal.raise_signal(signal.SIGTERM)
+            signal.raise_signal(signal.SIGTERM)
 
-    sim = dust(Lost())
+    sim = dust(Early())
     with pytest.raises(signals.Stopped, match="SIGTERM"):
         sim.run(1.0)
-    assert sim.stepper.steps == 1
+    assert sim.stepper.steps == 0
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_signal_waits_for_the_evaluation(waits):
+    """The first one stops the step before its next evaluation; a second one, later, at once."""
+    done = []
+
+    class Slow(mrs.forces.Force):
+        kind = "slow"
+
+        def forces(self, time_, points, layout):
+            signal.raise_signal(signal.SIGINT)
+            if waits:
+                time.sleep(1.01)
+                signal.raise_signal(signal.SIGINT)
+            done.append(time_)
+            return np.zeros_like(points)
+
+    body = mrs.Swimmers(np.zeros((1, 3)), np.eye(3)[:1], length=1.0, force=1.0)
+    options = {"fluid": mrs.Fluid(epsilon=0.1), "bodies": [body]}
+    sim = mrs.Simulation(**options, forces=[Slow()], integrator=mrs.Integrator("rk4", 0.1))
+    with pytest.raises(signals.Stopped):
+        sim.run(1.0)
+    assert done == ([] if waits else [0.0])
+    assert (sim.time, sim.stepper.steps) == (0.0, 0)
 
 
 def test_frames_are_written_to_their_end(tmp_path):

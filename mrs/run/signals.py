@@ -10,6 +10,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+import numpy as np
+
+from mrs.time.state import State
+from mrs.time.stepper import System
 from treecode.ranks import OneRank
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
@@ -30,37 +34,35 @@ class Stopped(KeyboardInterrupt):
 
 
 class Stopping:
-    """The handler of the signals: it raises `Stopped`, at once or after a file is complete.
+    """The handler of the signals.
 
-    `asked` is the first signal. An exception of a handler can be lost: in a callback of the garbage
-    collector Python prints it and goes on. The loop of a run therefore looks at `asked` as well.
+    It raises `Stopped` itself where nothing can be spoilt by it. In a run it notes the first signal
+    only, which `check` raises: an exception that comes at any moment can be lost (in a callback of
+    the garbage collector), come out as another one, or crash the compiler.
 
-    Ranks stop together: a signal at any of them is noted, and raised where all of them look.
+    Ranks stop together: a signal at any of them is raised where all of them look.
 
     Parameters
     ----------
-    ranks : OneRank
+    ranks : OneRank, optional
+        Of a run. Without them the first signal raises as well.
+
+    Attributes
+    ----------
+    asked : int or None
+        The first signal.
     """
 
-    def __init__(self, ranks: OneRank) -> None:
+    def __init__(self, ranks: OneRank | None = None) -> None:
         self.asked: int | None = None
-        self._ranks = ranks
-        self._writing = self._held = False
+        self._waits = ranks is not None
+        self._ranks = ranks or OneRank()
+        self._held = False
         self._last = -_ONE_WISH
 
     def hold(self) -> None:
         """Let no signal interrupt from now on."""
         self._held = True
-
-    @contextmanager
-    def writing(self) -> Iterator[None]:
-        """Let the first signal wait for the end; a second one, a while later, does not."""
-        self._writing = True
-        try:
-            yield
-        finally:
-            self._writing = False
-        self.check()
 
     def check(self) -> None:
         """Raise `Stopped` if that was asked for, at any rank."""
@@ -76,21 +78,40 @@ class Stopping:
         if self._held:
             if self._ranks.rank == 0:
                 os.write(2, b"\nstopping; the last files are being written\n")
-        elif self._ranks.size == 1 and (first or now - self._last >= _ONE_WISH):
+        elif self._ranks.size == 1 and now - self._last >= _ONE_WISH:
             self._last = now
-            if not (first and self._writing):
+            if not (first and self._waits):
                 raise Stopped(number)
+
+
+class Stoppable:
+    """A scene as steps see it in a run: a signal is looked for before each evaluation.
+
+    Parameters
+    ----------
+    system : System
+    stopping : Stopping
+    """
+
+    def __init__(self, system: System, stopping: Stopping) -> None:
+        self._system, self._stopping = system, stopping
+        self.error_scale, self.perturbation = system.error_scale, system.perturbation
+
+    def rates(self, time: float, state: State) -> np.ndarray:
+        """Return velocities and angular velocities, (P + Q, 3)."""
+        self._stopping.check()
+        return self._system.rates(time, state)
 
 
 @contextmanager
 def stopping(ranks: OneRank | None = None) -> Iterator[Stopping]:
-    """Let signals raise `Stopped` here instead of ending the process.
+    """Let signals raise `Stopped` here instead of ending the process; see `Stopping`.
 
     Handlers of the user's own, and signals that are ignored (nohup), are left alone, and so is
     everything outside the main thread, where Python handles no signals. One that has not stopped
     anything yet raises at the end, unless an error is on its way already.
     """
-    handler = Stopping(ranks or OneRank())
+    handler = Stopping(ranks)
     before = {}
     if threading.current_thread() is threading.main_thread():
         before = {n: old for n in _STOPPING if _is_default(old := signal.getsignal(n))}

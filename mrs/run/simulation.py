@@ -28,7 +28,7 @@ from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import Arrays, State, below
-from mrs.time.stepper import Integrator, Stepper
+from mrs.time.stepper import Integrator, Stepper, System
 from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
@@ -268,10 +268,13 @@ class Simulation:
         SimulationError
             If the state would not be finite; it is left as it was.
         """
-        with self.mobility.lock:
-            self._step(stop)
+        self._step(self.scene, stop)
 
-    def _step(self, stop: float) -> None:
+    def _step(self, system: System, stop: float) -> None:
+        with self.mobility.lock:
+            self._advance(system, stop)
+
+    def _advance(self, system: System, stop: float) -> None:
         before, methods = self.stepper.history(), self.mobility.history()
         try:
             steps = self.stepper.steps
@@ -279,7 +282,7 @@ class Simulation:
                 self.scene.correct(self.time, self.state)
             ignoring = np.errstate(over="ignore", invalid="ignore")
             with self.profile.stage("integrator"), ignoring:
-                time, state = self.stepper.step(self.scene, self.time, self.state, stop)
+                time, state = self.stepper.step(system, self.time, self.state, stop)
             require_whole(self, state)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = explained(self, error)
@@ -404,12 +407,14 @@ class Simulation:
         with self.profile.stage("output"):
             self.ranks.lead(self.scene, partial(self._initialize, begun))
         interrupts = [tracker.when for tracker in self.trackers]
+        system = signals.Stoppable(self.scene, stopping)
         while self.time < self.t_end:
             before = self.moment
-            self.step(next_stop(interrupts, self.time, self.t_end))
+            self._step(system, next_stop(interrupts, self.time, self.t_end))
             self.moment = Moment(self.time, self.stepper.steps, seconds())
-            with self.profile.stage("output"), stopping.writing():
+            with self.profile.stage("output"):
                 self.ranks.lead(self.scene, partial(self._handle, before))
+            stopping.check()
             if max_walltime is not None and seconds() >= max_walltime:
                 break
 
