@@ -3,8 +3,10 @@
 from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
+from treecode.accuracy import relative_error
 from treecode.boundary import Boundary, FreeSpace, Term
 from treecode.choice.refusals import CancellationError, ToleranceError
+from treecode.evaluation import evaluate
 from treecode.kernels import (
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
@@ -16,7 +18,7 @@ from treecode.locks import Lock
 from treecode.methods.base import Method
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import Choice
-from treecode.plan import Plan, backends, evaluate, relative_error
+from treecode.plan import Plan, backends
 from treecode.version import __version__
 
 __all__ = [

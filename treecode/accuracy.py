@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from treecode.kernels.base import Kernel
+from treecode.ranks import OneRank
 
 _LEAST = 50  # targets drawn of a group, where there are many groups
 _FEWEST = 3  # watched of a group: one is left out
@@ -46,19 +47,31 @@ class Parts(NamedTuple):
     groups : (M,) int64
         The group of each target, from 0 on.
     group_count : int
+    ranks : OneRank
+        Those that have other targets of the groups; the values here are those of this rank.
     """
 
     units: np.ndarray
     groups: np.ndarray
     group_count: int
+    ranks: OneRank = OneRank()
 
     @classmethod
-    def of(cls, kernel: Kernel, targets: int, groups: np.ndarray | None = None) -> Parts:
-        """Return the parts of a kernel's values, for groups with any numbers; one by default."""
+    def of(
+        cls,
+        kernel: Kernel,
+        targets: int,
+        groups: np.ndarray | None = None,
+        ranks: OneRank | None = None,
+    ) -> Parts:
+        """Return the parts of a kernel's values, for groups with any numbers; one by default.
+
+        Targets that are spread over `ranks` are one group.
+        """
         lengths = np.array(kernel.value_lengths)
         units = (lengths[:, None] == np.unique(lengths)).astype(float)
         if groups is None or not targets:
-            return cls(units, np.zeros(targets, np.int64), 1)
+            return cls(units, np.zeros(targets, np.int64), 1, ranks or OneRank())
         numbers, inverse = np.unique(groups, return_inverse=True)
         return cls(units, inverse, len(numbers))
 
@@ -71,7 +84,7 @@ class Parts(NamedTuple):
     def add_up(self, squares: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
         """Return sums over groups, (G, U), of squares (n, U) at some targets."""
         if self.group_count == 1:
-            return squares.sum(axis=0)[None]
+            return self.ranks.add_up(squares.sum(axis=0)[None])
         groups = self.groups[rows]
         columns = [np.bincount(groups, column, self.group_count) for column in squares.T]
         return np.stack(columns, axis=1)
@@ -79,14 +92,14 @@ class Parts(NamedTuple):
     def squares(self, values: np.ndarray, rows: Any = slice(None)) -> np.ndarray:
         """Return the squares of the norms of parts, (G, U), of values at some targets."""
         if self.group_count == 1:
-            return np.einsum("ij,ij->j", values, values)[None] @ self.units
+            return self.ranks.add_up(np.einsum("ij,ij->j", values, values)[None] @ self.units)
         return self.add_up(values**2 @ self.units, rows)
 
     def difference(
         self, values: np.ndarray, exact: np.ndarray, rows: Any = slice(None)
     ) -> np.ndarray:
         """Return relative differences, (G, U), of values at some targets."""
-        peak = largest(exact)
+        peak = self._peak(exact)
         squares = self.squares((values - exact) / peak, rows)
         return ratio(squares, self.squares(exact / peak, rows))
 
@@ -111,17 +124,16 @@ class Parts(NamedTuple):
         The largest error of a group is left out, since a few targets may carry the norm: what is
         beyond the tolerance here is so nearly everywhere.
         """
-        peak = largest(exact)
+        peak = self._peak(exact)
         if 1e-100 < peak < 1e100:  # squares of all are in range, and need no copy
             peak = 1.0
         squares = ((values[rows] - exact) / peak) ** 2 @ self.units
         groups = self.groups[rows]
         worst = np.zeros((self.group_count, self.units.shape[1]))
         np.maximum.at(worst, groups, squares)
-        drawn = np.bincount(groups, minlength=self.group_count)[:, None]
-        more = np.bincount(self.groups, minlength=self.group_count)[:, None] / np.maximum(
-            drawn - 1, 1
-        )
+        worst = np.max(self.ranks.exchange(worst), axis=0)
+        drawn = self._count(groups)
+        more = self._count(self.groups) / np.maximum(drawn - 1, 1)
         error = more * (self.add_up(squares, rows) - worst) * (drawn >= _FEWEST)
         norm = self.squares(values if peak == 1.0 else values / peak)
         return not (error > tol**2 * norm).any()
@@ -147,18 +159,18 @@ class Parts(NamedTuple):
             Targets to draw; more if there are so many groups that few would be left for each.
         seed : int, optional
         """
-        if not np.isfinite(values).all():
+        if not all(self.ranks.exchange(bool(np.isfinite(values).all()))):
             return Error(math.inf, math.inf, math.inf)
-        peak = largest(values)
+        peak = self._peak(values)
         power = (values / peak) ** 2 @ self.units
-        rows, weight = self._draw_by(power, samples, seed)
+        rows, weight = self._draw_by(power, -(-samples // self.ranks.size), seed)
         exact = exact_at(rows) / peak
         squares = weight[:, None] * ((values[rows] / peak - exact) ** 2 @ self.units)
         plain = self.add_up(weight[:, None] * (exact**2 @ self.units), rows)
         control = self.add_up(power) + plain - self.add_up(weight[:, None] * power[rows], rows)
         norm = np.where(control > 0.5 * plain, control, plain)  # of values far off it is nothing
-        drawn = np.bincount(self.groups[rows], minlength=self.group_count)[:, None]
-        some = drawn < np.bincount(self.groups, minlength=self.group_count)[:, None]
+        drawn = self._count(self.groups[rows])
+        some = drawn < self._count(self.groups)
         error = self.add_up(squares, rows)
         centred = squares - (error / np.maximum(drawn, 1))[self.groups[rows]]
         deviation = np.sqrt(self.add_up(centred**2, rows)) * some
@@ -167,6 +179,13 @@ class Parts(NamedTuple):
             float(ratio(error, norm).max(initial=0.0)),
             float(ratio(error + 2.0 * deviation, norm).max(initial=0.0)),
         )
+
+    def _peak(self, values: np.ndarray) -> float:
+        return max(self.ranks.exchange(largest(values)))
+
+    def _count(self, groups: np.ndarray) -> np.ndarray:
+        """Return how many targets there are of each group, (G, 1)."""
+        return self.ranks.add_up(np.bincount(groups, minlength=self.group_count)[:, None])
 
     def _draw_by(self, power: np.ndarray, samples: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
         """Return targets, all of a group if they are few, and how many others each stands for."""
@@ -197,3 +216,10 @@ def ratio(squares: Any, norm: Any) -> Any:
 def largest(values: np.ndarray) -> float:
     """Return the largest magnitude, 1 if all are zero: squares of the rest stay in range."""
     return float(np.abs(values).max(initial=0.0)) or 1.0
+
+
+def relative_error(values: np.ndarray, exact: np.ndarray) -> float:
+    """Return the relative error in the Euclidean norm over all rows and columns, K eq. (8.1)."""
+    scale = float(np.linalg.norm(exact))
+    error = float(np.linalg.norm(values - exact))
+    return error / scale if scale > 0.0 else error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from numbers import Real
 from typing import Any
 
@@ -71,6 +72,13 @@ def integer(name: str, value: Any, low: int, high: int = 10**12) -> int:
     if not low <= value <= high:
         raise ValueError(allowed)
     return int(value)
+
+
+def hexadecimals(name: str, value: Any) -> str:
+    """Return a text of hexadecimal numbers of 64 bits at most, with blanks between."""
+    if not isinstance(value, str) or not re.fullmatch(r"(?:[0-9a-f]{1,16}(?: |$))*", value):
+        raise ValueError(f"{name} must be hexadecimal numbers of 64 bits, got {value!r}")
+    return value
 
 
 def one_of(name: str, value: Any, allowed: Any) -> str:

@@ -14,6 +14,7 @@ from treecode._jit import require_unchanged
 from treecode.accuracy import Parts
 from treecode.choice.sampling import WATCHED, in_given_order, sampled_error, seems_kept
 from treecode.choice.search import Search
+from treecode.choice.spread import SpreadSearch
 from treecode.kernels.base import Kernel, require_counts
 from treecode.locks import Lock, one_at_a_time
 from treecode.methods import registry
@@ -21,10 +22,8 @@ from treecode.methods.base import KEYWORDS, Sum
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import AUTO, Choice
 from treecode.ranks import in_step, ranks_of
-from treecode.shared_sum import made
+from treecode.shared_sum import made, require_spread, spread
 from treecode.threads import thread_count
-
-_OPTIONS = ("backend", *KEYWORDS, "progress", "comm")
 
 
 def backends() -> tuple[str, ...]:
@@ -70,8 +69,11 @@ class Plan:
     progress : bool, optional
         Show a progress bar while summing.
     comm : mpi4py.MPI.Comm, optional
-        Ranks of MPI that share the targets. All of them make the same calls with the same
-        arguments, and get the same values, or the same error. See docs/mpi.md.
+        Ranks of MPI that share the sum. All of them make the same calls with the same arguments,
+        and get the same values, or the same error. See docs/mpi.md.
+    distributed : bool, optional
+        Whether each rank gives points and strengths of its own, and gets the values at its own
+        targets: for the fast multipole method by name. `tol` is kept over the targets of all.
 
     Raises
     ------
@@ -107,9 +109,13 @@ class Plan:
         tol: float | None = None,
         progress: bool = False,
         comm: Any = None,
+        distributed: bool = False,
     ) -> None:
         self.ranks = ranks_of(comm)
         self.backend = check.one_of("backend", backend, backends())
+        if distributed:
+            require_spread(backend)
+        self._spread = bool(distributed) and self.ranks.size > 1
         self.kernel = registry.require_kernel(kernel, backend)
         require_counts(kernel)
         require_unchanged(type(kernel))
@@ -135,7 +141,8 @@ class Plan:
     def _begin(self, given: dict[str, Any]) -> None:
         """Make the sum that is given, or prepare the search for one."""
         tol = given.get("tol", KEYWORDS["tol"].default)
-        search = partial(Search, self.kernel, progress=self._progress, ranks=self.ranks)
+        kind = SpreadSearch if self._spread else Search
+        search = partial(kind, self.kernel, progress=self._progress, ranks=self.ranks)
         if self.backend == AUTO:
             chosen = {name: given.get(name) for name in KEYWORDS if name != "tol"}
             check.absent(f"with backend {AUTO!r}, which chooses it", **chosen)
@@ -154,7 +161,8 @@ class Plan:
             self._choice = None if self._search else self._first
 
     def _made(self, choice: Choice) -> Sum:
-        return made(choice, self.kernel, self.ranks, self._progress)
+        kind = spread if self._spread else made
+        return kind(choice, self.kernel, self.ranks, self._progress)
 
     def __copy__(self) -> Plan:
         """Return a plan that shares nothing: points of one are not those of the other."""
@@ -211,14 +219,22 @@ class Plan:
         targets = None if targets is None else check.points("targets", targets)
         counts = len(sources), len(sources if targets is None else targets)
         groups = None if groups is None else check.groups(groups, counts[1])
-        self.ranks.require_same(sources=sources, targets=targets, groups=groups)
+        if self._spread:
+            check.absent("with distributed=True", groups=groups)
+            self._require_all_or_none(targets)
+        else:
+            self.ranks.require_same(sources=sources, targets=targets, groups=groups)
         self._points_set = False  # until all is done
-        if self._parts is None or not self._same(counts, groups):
+        same = self._parts is not None and self._same(counts, groups)
+        if self._spread:
+            same = all(self.ranks.exchange(same))
+        if not same:
             if self._search and self._parts:
                 self._choice = None
                 self._sum = self._made(self._first) if self._first else None
             self._counts, self._groups = counts, groups
-            self._parts = Parts.of(self.kernel, counts[1], groups)
+            over = self.ranks if self._spread else None
+            self._parts = Parts.of(self.kernel, counts[1], groups, over)
             self._watched = self._parts.watch(WATCHED)
         self._at_watched = (sources if targets is None else targets)[self._watched].T
         columns = _columns(sources), None if targets is None else _columns(targets)
@@ -264,7 +280,7 @@ class Plan:
             If the sum leaves the range of float64.
         """
         strengths, parts = self._checked(strengths)
-        if self._sum is None and not (strengths.any() and len(parts.groups)):
+        if self._sum is None and not self._any(strengths, parts):
             return np.zeros((len(parts.groups), self.kernel.value_size))  # nothing to choose by
         if self._sum is None:
             return self._choose(self._search, strengths)
@@ -293,7 +309,7 @@ class Plan:
         """
         strengths, parts = self._checked(strengths)
         search = self._search
-        if not (search and self._sum and strengths.any() and len(parts.groups)):
+        if not (search and self._sum and self._any(strengths, parts)):
             return False
         if tol is not None:
             search = replace(search, tol=KEYWORDS["tol"].check("tol", tol))
@@ -305,13 +321,27 @@ class Plan:
         self._choose(search, strengths)
         return True
 
+    def _any(self, strengths: np.ndarray, parts: Parts) -> bool:
+        """Tell whether there is anything to sum, and anywhere."""
+        some = [bool(strengths.any()), len(parts.groups) > 0]
+        return all(np.any(self.ranks.exchange(some), axis=0) if self._spread else some)
+
+    def _require_all_or_none(self, targets: np.ndarray | None) -> None:
+        """Refuse targets that some ranks give, and others do not."""
+        without = self.ranks.exchange(targets is None)
+        if len(set(without)) > 1:
+            raise ValueError(
+                f"targets must be given by all ranks or by none, got None on rank "
+                f"{without.index(True)}; a rank without targets gives an array of shape (0, 3)"
+            )
+
     def _seems_kept(
         self, search: Search, strengths: np.ndarray, values: np.ndarray, parts: Parts
     ) -> bool:
         """Tell from a few targets, and in doubt from a sample, whether `tol` is kept."""
         assert self._sum is not None
         if self._choice is None:  # never sampled
-            if not (strengths.any() and len(parts.groups)):
+            if not self._any(strengths, parts):
                 return True
         elif self._choice == EXACT:
             return True
@@ -389,7 +419,8 @@ class Plan:
     def _checked(self, strengths: Any) -> tuple[np.ndarray, Parts]:
         parts = self._require_points()
         rows = check.rows("strengths", strengths, self.kernel.strength_size, self._counts[0])
-        self.ranks.require_same(strengths=rows)
+        if not self._spread:
+            self.ranks.require_same(strengths=rows)
         return rows, parts
 
     def _require_points(self) -> Parts:
@@ -408,43 +439,3 @@ def _checked_keywords(backend: str, keywords: dict[str, Any]) -> dict[str, Any]:
 def _columns(points: np.ndarray) -> np.ndarray:
     """Return a copy by coordinates, (3, N): the sums sort it."""
     return np.array(points.T, order="C")
-
-
-def evaluate(
-    kernel: Kernel, points: Any, strengths: Any, targets: Any = None, **options: Any
-) -> np.ndarray:
-    """Return ``sum_j K(x_i, y_j) q_j`` once; see `Plan` for the options and what is raised.
-
-    Parameters
-    ----------
-    kernel : Kernel
-    points : (N, 3) array_like
-        Sources.
-    strengths : (N, strength_size) array_like
-    targets : (M, 3) array_like, optional
-        The sources by default.
-    **options
-        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`, `comm`.
-
-    Returns
-    -------
-    (M, value_size) float64 ndarray
-    """
-    if unknown := set(options).difference(_OPTIONS):
-        raise TypeError(
-            f"evaluate() has the options {', '.join(_OPTIONS)}, got {', '.join(sorted(unknown))}"
-        )
-    plan = Plan(kernel, **options)
-    if plan._search:
-        plan._search.sums = 1
-    with plan.ranks.together():
-        points = check.points("points", points)
-        strengths = check.rows("strengths", strengths, kernel.strength_size, len(points))
-        return plan.set_points(points, targets).execute(strengths)
-
-
-def relative_error(values: np.ndarray, exact: np.ndarray) -> float:
-    """Return the relative error in the Euclidean norm over all rows and columns, K eq. (8.1)."""
-    scale = float(np.linalg.norm(exact))
-    error = float(np.linalg.norm(values - exact))
-    return error / scale if scale > 0.0 else error

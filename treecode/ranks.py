@@ -18,7 +18,17 @@ import numpy as np
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _T = TypeVar("_T")
-_NEEDED = "rank", "size", "allgather", "Allgatherv", "Abort"  # of a communicator
+# Of a communicator.
+_NEEDED = (
+    "rank",
+    "size",
+    "allgather",
+    "alltoall",
+    "Allgatherv",
+    "Allreduce",
+    "Ialltoallv",
+    "Abort",
+)
 # Set by mpirun and by srun.
 _LAUNCHED = "PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK"
 _SIZES = "PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"
@@ -55,6 +65,21 @@ class OneRank:
     def gather(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows of all ranks, (n, columns) float64 of each, one after the other."""
         return rows
+
+    def add_up(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the sum over all ranks of an array."""
+        return numbers
+
+    def deliver(self, pieces: list[np.ndarray]) -> list[np.ndarray]:
+        """Give each rank a piece, some rows of one type; return the pieces that all give."""
+        return pieces
+
+    def post(self, pieces: list[np.ndarray], rows: list[int]) -> Callable[[], list[np.ndarray]]:
+        """Begin to `deliver`, where each rank knows how many rows it gets from whom.
+
+        The answer is called for the pieces, and waits for them.
+        """
+        return lambda: pieces
 
     @contextmanager
     def together(self) -> Iterator[None]:
@@ -126,6 +151,34 @@ class Ranks(OneRank):
         sizes = [count * columns for count in counts]
         self._comm.Allgatherv(np.ascontiguousarray(rows), (together, sizes))
         return together
+
+    def add_up(self, numbers: np.ndarray) -> np.ndarray:
+        """Return the sum over all ranks of an array."""
+        self.exchange(None)  # hears of errors
+        total = np.empty_like(numbers)
+        self._comm.Allreduce(np.ascontiguousarray(numbers), total)
+        return total
+
+    def deliver(self, pieces: list[np.ndarray]) -> list[np.ndarray]:
+        """Give each rank a piece, some rows of one type; return the pieces that all give."""
+        self.exchange(None)  # hears of errors
+        rows = self._comm.alltoall([len(piece) for piece in pieces])
+        return self.post(pieces, rows)()
+
+    def post(self, pieces: list[np.ndarray], rows: list[int]) -> Callable[[], list[np.ndarray]]:
+        """Begin to `deliver`, where each rank knows how many rows it gets from whom."""
+        self.exchange(None)  # hears of errors
+        given = np.concatenate(pieces)
+        one = max(1, int(np.prod(given.shape[1:])))
+        got = np.empty((sum(rows), *given.shape[1:]), given.dtype)
+        sizes = [one * len(piece) for piece in pieces], [one * count for count in rows]
+        request = self._comm.Ialltoallv((given, sizes[0]), (got, sizes[1]))
+
+        def arrived() -> list[np.ndarray]:
+            request.Wait()
+            return np.split(got, np.cumsum(rows)[:-1])
+
+        return arrived
 
     @contextmanager
     def together(self) -> Iterator[None]:

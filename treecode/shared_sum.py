@@ -13,9 +13,10 @@ import numpy as np
 
 from treecode.kernels.base import Kernel
 from treecode.methods import registry
-from treecode.methods.base import Sum
+from treecode.methods.base import Method, Sum
 from treecode.methods.registry import Choice
 from treecode.ranks import OneRank
+from treecode.sliced_sum import SlicedSum
 from treecode.timing import Seconds
 
 _BITS = 5  # of a coordinate in each of two codes, which NumPy sorts by their digits
@@ -28,7 +29,32 @@ def made(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False)
     """Return the sum of a choice, without points yet, shared by the ranks."""
     if ranks.size == 1:
         return choice.sum(kernel, progress)
+    across = _across(choice, kernel, ranks, progress)
+    if across is not None:
+        return SlicedSum(across, ranks)
     return SharedSum(choice, kernel, ranks, progress and ranks.rank == 0)
+
+
+def spread(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False) -> Sum:
+    """Return the sum of a choice, without points yet, of which each rank has some."""
+    across = _across(choice, kernel, ranks, progress)
+    assert across is not None, "see `require_spread`"
+    return SlicedSum(across, OneRank())
+
+
+def require_spread(backend: str) -> None:
+    """Refuse the name of a method that has no sum over points of which each rank has some."""
+    methods = map(registry.get, registry.names())
+    names = [m.name for m in methods if type(m).across is not Method.across]
+    if backend not in names:
+        allowed = ", ".join(map(repr, names))
+        raise ValueError(f"backend must be {allowed} with distributed=True, got {backend!r}")
+
+
+def _across(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool) -> Sum | None:
+    method = registry.get(choice.backend)
+    parameters = method.complete(choice.parameters)
+    return method.across(kernel, parameters, ranks, progress and ranks.rank == 0)
 
 
 def along_curve(points: np.ndarray) -> np.ndarray:

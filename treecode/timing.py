@@ -11,8 +11,8 @@ class Seconds(dict[str, float]):
     """Seconds by stage."""
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Note how long what is done inside takes."""
-        start = time.perf_counter()
+    def stage(self, name: str, *, more: bool = False) -> Iterator[None]:
+        """Note how long what is done inside takes, and what it took before if it is `more`."""
+        start = time.perf_counter() - (self.get(name, 0.0) if more else 0.0)
         yield
         self[name] = time.perf_counter() - start

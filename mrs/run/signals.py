@@ -10,10 +10,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-import numpy as np
-
-from mrs.time.state import State
-from mrs.time.stepper import System
 from treecode.ranks import OneRank
 
 _NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGXCPU")
@@ -82,25 +78,6 @@ class Stopping:
             self._last = now
             if not (first and self._waits):
                 raise Stopped(number)
-
-
-class Stoppable:
-    """A scene as steps see it in a run: a signal is looked for before each evaluation.
-
-    Parameters
-    ----------
-    system : System
-    stopping : Stopping
-    """
-
-    def __init__(self, system: System, stopping: Stopping) -> None:
-        self._system, self._stopping = system, stopping
-        self.error_scale, self.perturbation = system.error_scale, system.perturbation
-
-    def rates(self, time: float, state: State) -> np.ndarray:
-        """Return velocities and angular velocities, (P + Q, 3)."""
-        self._stopping.check()
-        return self._system.rates(time, state)
 
 
 @contextmanager

@@ -28,7 +28,7 @@ from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import Arrays, State, below
-from mrs.time.stepper import Integrator, Stepper, System
+from mrs.time.stepper import Integrator, Stepper, System, Watched
 from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
@@ -407,7 +407,7 @@ class Simulation:
         with self.profile.stage("output"):
             self.ranks.lead(self.scene, partial(self._initialize, begun))
         interrupts = [tracker.when for tracker in self.trackers]
-        system = signals.Stoppable(self.scene, stopping)
+        system = Watched(self.scene, stopping.check)
         while self.time < self.t_end:
             before = self.moment
             self._step(system, next_stop(interrupts, self.time, self.t_end))

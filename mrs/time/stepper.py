@@ -71,6 +71,26 @@ class System(Protocol):
         """Return velocities and angular velocities, (P + Q, 3)."""
 
 
+class Watched:
+    """A system that looks for something, such as a signal, before each evaluation.
+
+    Parameters
+    ----------
+    system : System
+    look : function
+        What it raises ends the step.
+    """
+
+    def __init__(self, system: System, look: Callable[[], None]) -> None:
+        self._system, self._look = system, look
+        self.error_scale, self.perturbation = system.error_scale, system.perturbation
+
+    def rates(self, time: float, state: State) -> np.ndarray:
+        """Return velocities and angular velocities, (P + Q, 3)."""
+        self._look()
+        return self._system.rates(time, state)
+
+
 class NotFiniteError(ArithmeticError):
     """The state is not finite, or would not be after the smallest step."""
 

@@ -45,10 +45,24 @@ def sampled_error(
     place[sum_.target_order] = np.arange(len(values))
 
     def exact_at(rows: np.ndarray) -> np.ndarray:
+        if parts.ranks.size > 1:
+            return _over_ranks(kernel, sum_, strengths, sum_.targets[:, place[rows]], ranks)
         exact = direct_sum(kernel, sum_.sources, sum_.targets[:, place[rows]], ranks)
         return exact.execute(strengths[sum_.source_order])
 
     return parts.sampled_error(values, exact_at, samples, seed)
+
+
+def _over_ranks(
+    kernel: Kernel, sum_: Sum, strengths: np.ndarray, targets: np.ndarray, ranks: OneRank
+) -> np.ndarray:
+    """Return exact values at targets of this rank, (3, t), of the sources of all ranks."""
+    everywhere = ranks.gather(targets.T)
+    exact = EXACT.sum(kernel)
+    exact.set_points(sum_.sources.copy(), np.ascontiguousarray(everywhere.T))
+    values = ranks.add_up(exact.execute(strengths[sum_.source_order]))
+    stop = int(np.cumsum(ranks.exchange(targets.shape[1]))[ranks.rank])
+    return values[stop - targets.shape[1] : stop]
 
 
 def seems_kept(
@@ -68,9 +82,15 @@ def seems_kept(
     that it has given for `strengths`.
     """
     count = sum_.sources.shape[1]
-    few = min(len(rows), int(sum_.effort / (_WATCHED_SHARE * max(1, count))))
+    everywhere = int(parts.ranks.add_up(np.array(count)))
+    few = min(WATCHED, int(sum_.effort / (_WATCHED_SHARE * max(1, everywhere))))
     if sum_.effort < WATCHED_FROM or not few:
         return True
+    if parts.ranks.size > 1:
+        few = -(-few // ranks.size)
+        all_exact = _over_ranks(kernel, sum_, strengths, points[:, :few], ranks)
+        return parts.seem_within(_ASTRAY * tol, values, all_exact, rows[:few])
+    few = min(few, len(rows))
     padded = np.zeros((3, few + LANES - 1))
     padded[:, :few] = points[:, :few]
     exact = np.zeros((kernel.value_size, few))

@@ -10,6 +10,7 @@ import numpy as np
 
 from treecode import check
 from treecode.kernels.base import MEMBERS, Kernel
+from treecode.ranks import OneRank
 
 PRECISIONS = "float64", "float32"
 
@@ -242,6 +243,16 @@ class Method:
             Show a progress bar while summing.
         """
         raise NotImplementedError(f"{type(self).__qualname__} must have the method make")
+
+    def across(
+        self, kernel: Kernel, parameters: Mapping[str, Any], ranks: OneRank, progress: bool = False
+    ) -> Sum | None:
+        """Return a sum without points of which each rank has some; None if there is no such sum.
+
+        Each rank sets points of its own, as many as it likes, gives their strengths, and gets the
+        values at its targets. `sources`, `targets` and their orders are not looked at.
+        """
+        return None
 
     def describe(self, parameters: Mapping[str, Any]) -> str:
         """Return the name with the parameters that matter, for logs."""

@@ -32,13 +32,14 @@ class FarField:
     def __init__(self, tree: Octree, lists: Lists, operators: Hierarchy, threads: Threads) -> None:
         self._tree, self._lists, self._operators = tree, lists, operators
         self._threads = threads
+        self._levels = range(operators.first, tree.depth + 1)
         self.pairs = 0
 
     def upward(self, sources: np.ndarray, weights: np.ndarray) -> Expansions:
         """Return multipole expansions, (cubes, 8 * rank) with a row of zeros behind (P2M, M2M)."""
         tree, operators = self._tree, self._operators
         multipole: Expansions = {}
-        for level in range(tree.depth, operators.first - 1, -1):
+        for level in reversed(self._levels):
             count = tree.first[level + 1] - tree.first[level]
             size = CLASSES * operators.levels[level].rank
             multipole[level] = np.zeros((count + 1, size), operators.dtype)
@@ -71,7 +72,7 @@ class FarField:
 
     def _merge_children(self, level: int, multipole: Expansions) -> None:
         """Add the multipole expansions of children to those of their parents (M2M)."""
-        parents, child = self._parents(level)
+        parents, child = self._parents(level, self._lists.has_sources)
         up = self._operators.transfers[level + 1].up
 
         def merge(chunk: slice) -> None:
@@ -84,12 +85,10 @@ class FarField:
 
     def translate(self, multipole: Expansions) -> Expansions:
         """Return local expansions of the same level, (cubes, 8, rank) (M2L)."""
-        levels, dtype = self._operators.levels, self._operators.dtype
-        local = {
-            level: np.zeros((len(multipole[level]) - 1, CLASSES, operators.rank), dtype)
-            for level, operators in levels.items()
-        }
-        for level in sorted(levels):
+        local = {}
+        for level in self._levels:
+            shape = len(multipole[level]) - 1, CLASSES, self._operators.levels[level].rank
+            local[level] = np.zeros(shape, self._operators.dtype)
             self._translate_level(level, multipole[level], local[level])
         return local
 
@@ -116,11 +115,11 @@ class FarField:
 
     def downward(self, local: Expansions) -> None:
         """Pass local expansions on from parents to children (L2L)."""
-        for level in range(self._operators.first, self._tree.depth):
+        for level in self._levels[:-1]:
             self._pass_on(level, local)
 
     def _pass_on(self, level: int, local: Expansions) -> None:
-        parents, child = self._parents(level)
+        parents, child = self._parents(level, self._lists.has_targets)
         down = self._operators.transfers[level + 1].down
         above = local[level].reshape(len(local[level]), -1)
         below = local[level + 1].reshape(len(local[level + 1]), -1)
@@ -133,16 +132,17 @@ class FarField:
 
         self._threads(split, len(parents), _CHUNK)
 
-    def _parents(self, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the cubes of a level with children, and the children of all its cubes."""
-        child = self._tree.child[self._tree.first[level] : self._tree.first[level + 1]]
-        return np.flatnonzero((child >= 0).any(axis=1)), child
+    def _parents(self, level: int, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the wanted cubes of a level that have children, and the children of all cubes."""
+        rows = slice(*self._tree.first[level : level + 2])
+        child = self._tree.child[rows]
+        return np.flatnonzero((child >= 0).any(axis=1) & wanted[rows]), child
 
     def evaluate(
         self, local: Expansions, targets: np.ndarray, order: np.ndarray, values: np.ndarray
     ) -> None:
         """Add the local expansions of leaves to the `values` at their targets (L2P)."""
-        for level in range(self._operators.first, self._tree.depth + 1):
+        for level in self._levels:
             self._evaluate_leaves(level, local[level], targets, order, values)
 
     def _evaluate_leaves(

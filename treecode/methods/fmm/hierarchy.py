@@ -21,6 +21,16 @@ from treecode.threads import Threads
 ALL_OFFSETS = np.array(OFFSETS)
 
 
+def first_level(tree: Octree, lists: Lists) -> int:
+    """Return the first level that has anything far from anything; one beyond the last if none."""
+    between_sizes = np.append(lists.coarse_boxes, lists.proxy_boxes)
+    first = int(min(tree.level[between_sizes], default=tree.depth + 1))
+    for level in range(FIRST_LEVEL, first):
+        if loops.has_far_sources(tree, lists.boxes_with_targets(tree, level), ALL_OFFSETS):
+            return level
+    return first
+
+
 class Hierarchy:
     """Operators of the levels from the first on that has anything far from anything.
 
@@ -43,26 +53,19 @@ class Hierarchy:
         self.dtype: Any = np.float64
         self._served: tuple[int, list[float]] = 0, []
 
-    def serve(self, tree: Octree, lists: Lists) -> None:
-        """Get the operators for a tree.
+    def serve(self, first: int, halves: list[float]) -> None:
+        """Get the operators for the levels of a tree from `first` on, with half sides of cubes.
 
         Raises
         ------
         ValueError
             If they do not fit in memory, or the kernel has not the symmetries that they ask for.
         """
-        between_sizes = np.append(lists.coarse_boxes, lists.proxy_boxes)
-        self.first = int(min(tree.level[between_sizes], default=tree.depth + 1))
-        for level in range(FIRST_LEVEL, self.first):
-            boxes = lists.boxes_with_targets(tree, level)
-            if loops.has_far_sources(tree, boxes, ALL_OFFSETS):
-                self.first = level
-                break
-        halves = [tree.half(level) for level in range(self.first, tree.depth + 1)]
-        if (self.first, halves) != self._served:
+        self.first = first
+        if (first, halves) != self._served:
             self._served = 0, []  # nothing is, if building fails
             self._get_levels(halves)
-            self._served = self.first, halves
+            self._served = first, halves
 
     def _get_levels(self, halves: list[float]) -> None:
         """Get the operators for cubes of some sizes, each half the one before."""

@@ -318,7 +318,7 @@ def near_field(
     slot : (B,) int64
         Of each box in `nodes`.
     begin, entries : int64 arrays
-        Boxes that act on each leaf, see `octree.direct_lists`.
+        Boxes that act on each leaf, see `lists.direct_lists`.
     targets : (3, M) float64
     ranges : (n, 2) int64
         Of the targets of each leaf.

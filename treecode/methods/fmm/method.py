@@ -13,8 +13,10 @@ from treecode import check
 from treecode.kernels.base import Kernel
 from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter
 from treecode.methods.fmm.bases import MAX_DEGREE
+from treecode.methods.fmm.distributed import DistributedFastMultipole
 from treecode.methods.fmm.sizing import precision_for
 from treecode.methods.fmm.summation import FastMultipole
+from treecode.ranks import OneRank
 
 NAME = "fmm"
 TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(1, 26))  # few operators serve many cases
@@ -23,7 +25,8 @@ TOLERANCES = tuple(10.0 ** (-0.5 * k) for k in range(1, 26))  # few operators se
 class FastMultipoleMethod(Method):
     """The fast multipole method for isotropic kernels, which takes a tolerance itself.
 
-    `width` is the side of the root of its octree. It depends on points that were set before.
+    `width` is the side of the root of its octree, and `pieces` are where the pieces of the curve
+    begin that ranks have. They depend on points that were set before.
     """
 
     name = NAME
@@ -31,6 +34,7 @@ class FastMultipoleMethod(Method):
         "degree": Parameter(partial(check.integer, low=1, high=MAX_DEGREE)),
         "leaf_size": KEYWORDS["leaf_size"]._replace(default=None, required=False),
         "tol": KEYWORDS["tol"],
+        "pieces": Parameter(check.hexadecimals),
         "width": Parameter(partial(check.number, low=0.0, high=math.inf, low_inclusive=True)),
     }
     any_kernel = False
@@ -63,6 +67,12 @@ class FastMultipoleMethod(Method):
     ) -> FastMultipole:
         """Return a sum without points."""
         return FastMultipole(kernel, parameters, progress)
+
+    def across(
+        self, kernel: Kernel, parameters: Mapping[str, Any], ranks: OneRank, progress: bool = False
+    ) -> DistributedFastMultipole:
+        """Return a sum without points of which each rank has some."""
+        return DistributedFastMultipole(kernel, parameters, progress, ranks)
 
     def describe(self, parameters: Mapping[str, Any]) -> str:
         """Return the name with the tolerance."""

@@ -42,8 +42,8 @@ class NearField:
 
     def act_on_smaller(self, local: dict[int, np.ndarray]) -> None:
         """Add what the points of larger leaves do in smaller cubes to local expansions (P2L)."""
-        for level in self._operators.levels:
-            self._act_on_level(level, local[level])
+        for level, expansions in local.items():
+            self._act_on_level(level, expansions)
 
     def _act_on_level(self, level: int, local: np.ndarray) -> None:
         tree, operators = self._tree, self._operators.levels[level]

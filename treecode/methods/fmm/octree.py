@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -17,7 +17,7 @@ _NEIGHBOURS = 27
 # Part of the points for which alone no further level is opened, if no cube holds more than twice
 # what it may: its operators take longer to build than they save.
 _FEW = 0.01
-_PIECES = 64  # of the boxes of a level, for the threads
+PIECES = 64  # of the boxes of a level, for the threads
 _SELF = 13  # the number of the cell itself among its neighbours
 
 
@@ -75,28 +75,74 @@ class Octree(NamedTuple):
         return self.low + (self.cell[boxes] + 0.5) * width[:, None]
 
 
-def root_widths(points: np.ndarray) -> list[float]:
-    """Return eight sides of a root around points, (3, P), from the least to almost twice that.
+class Box(NamedTuple):
+    """The box around points.
+
+    Attributes
+    ----------
+    low, high : (3,) float64
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @classmethod
+    def around(cls, points: np.ndarray) -> Box:
+        """Return the box around points, (3, P)."""
+        return cls(points.min(axis=1), points.max(axis=1))
+
+
+class Region(Protocol):
+    """The part of a tree that a process has, where others have the rest."""
+
+    box: Box
+    """Around the points of all."""
+
+    def straddles(self, level: int, cell: np.ndarray) -> np.ndarray:
+        """Tell of which boxes of a level, with cells (n, 3), others have points as well."""
+
+    def most(self, fullest: int, in_full: int, count: int) -> tuple[int, int, int]:
+        """Return the most of all, and the totals of two numbers."""
+
+
+def root_widths(box: Box) -> list[float]:
+    """Return eight sides of a root around a box, from the least to almost twice that.
 
     They are 8, 9, ... or 15 times a power of two, so that a side stays the same while points move
     a little, and centres can be exact.
     """
-    low, high = points.min(axis=1), points.max(axis=1)
-    extent = 2.0 * float((0.5 * high - 0.5 * low).max())
+    extent = 2.0 * float((0.5 * box.high - 0.5 * box.low).max())
     # Room for the outermost points, which rounding may put outside.
-    least = max(extent * (1.0 + 2.0**-40) + 2.0 * _spacing(points, extent), 1e-280)
+    least = max(extent * (1.0 + 2.0**-40) + 2.0 * _spacing(box, extent), 1e-280)
     unit = math.ldexp(1.0, math.frexp(least)[1] - 4)
     widths = [m * unit for m in (*range(8, 16), *range(16, 32, 2))]
     return [width for width in widths if width >= least][:8]
 
 
-def _spacing(points: np.ndarray, width: float) -> float:
+def _spacing(box: Box, width: float) -> float:
     """Return a power of two of which all doubles are multiples that may be a root's coordinates."""
-    return float(np.spacing(np.abs(points).max() + width))
+    return float(np.spacing(np.abs(box).max() + width))
+
+
+def root_corner(box: Box, width: float) -> tuple[np.ndarray, int]:
+    """Return the lowest corner of a root around a box, and how many levels it may have.
+
+    Centres are exact: at 48 levels they were off by a hundredth of a cube, and errors of 1e-8
+    became 6e-4. So the corner, and halves of the finest sides, are multiples of one unit.
+    """
+    spacing = max(_spacing(box, width), _LEAST)
+    levels = math.frexp(width)[1] - math.frexp(spacing)[1] - 4
+    corner = np.rint((0.5 * box.low + 0.5 * box.high - 0.5 * width) / spacing) * spacing
+    return corner, min(_MAX_LEVEL, max(0, levels))
 
 
 def build_octree(
-    points: np.ndarray, sources: int | None, leaf_size: int, width: float, threads: Threads
+    points: np.ndarray,
+    sources: int | None,
+    leaf_size: int,
+    width: float,
+    threads: Threads,
+    region: Region | None = None,
 ) -> tuple[Octree, np.ndarray, np.ndarray]:
     """Sort points into cubes of at most `leaf_size` sources and as many targets.
 
@@ -113,6 +159,8 @@ def build_octree(
     width : float
         Side of the root.
     threads : Threads
+    region : Region, optional
+        If these are not all points: boxes that others have points in are split, too.
 
     Returns
     -------
@@ -122,19 +170,10 @@ def build_octree(
     """
     count = points.shape[1]
     order = np.arange(count)
-    low, high = points.min(axis=1), points.max(axis=1)
-    # Centres are exact: at 48 levels they were off by a hundredth of a cube, and errors of 1e-8
-    # became 6e-4. So the corner, and halves of the finest sides, are multiples of one unit.
-    spacing = max(_spacing(points, width), _LEAST)
-    levels = math.frexp(width)[1] - math.frexp(spacing)[1] - 4
-    levels = min(_MAX_LEVEL, max(0, levels))
-    corner = np.rint((0.5 * low + 0.5 * high - 0.5 * width) / spacing) * spacing
+    corner, levels = root_corner(region.box if region else Box.around(points), width)
     split = count if sources is None else sources
-    table, cell = _split(points, order, split, corner, width, leaf_size, levels, threads)
+    table, cell = _split(points, order, split, corner, width, leaf_size, levels, threads, region)
     level, parent, octant, start, stop = table
-    first = np.searchsorted(level, np.arange(level[-1] + 2))
-    child = np.full((len(level), OCTANTS), -1)
-    child[parent[1:], octant[1:]] = np.arange(1, len(level))
     is_source = order < split
     ranges = np.stack([start, stop], axis=1)
     if sources is None:
@@ -145,14 +184,31 @@ def build_octree(
         source = before[ranges]
         target = ranges - source
         orders = order[is_source], order[~is_source] - split
+    tree = assemble(corner, width, cell, level, parent, octant, source, target)
+    return tree, *orders
+
+
+def assemble(
+    corner: np.ndarray,
+    width: float,
+    cell: np.ndarray,
+    level: np.ndarray,
+    parent: np.ndarray,
+    octant: np.ndarray,
+    source: np.ndarray,
+    target: np.ndarray,
+) -> Octree:
+    """Return the tree of boxes, which are level by level, the children of one in a row."""
+    first = np.searchsorted(level, np.arange(level[-1] + 2))
+    child = np.full((len(level), OCTANTS), -1)
+    child[parent[1:], octant[1:]] = np.arange(1, len(level))
     neighbour = np.full((len(level), _NEIGHBOURS), -1)
     neighbour[0, _SELF] = 0
     _meet(parent, octant, child, neighbour)
     leaf = np.all(child < 0, axis=1)
-    tree = Octree(
+    return Octree(
         corner, width, cell, level, parent, octant, child, leaf, source, target, neighbour, first
     )
-    return tree, *orders
 
 
 def _split(
@@ -164,6 +220,7 @@ def _split(
     leaf_size: int,
     levels: int,
     threads: Threads,
+    region: Region | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return level, parent, octant, start and stop of each box, (5, B), and its cell, (B, 3)."""
     count = points.shape[1]
@@ -177,20 +234,25 @@ def _split(
             before = np.append(0, np.cumsum(order < split))
             sources = before[stop] - before[start]
             full = np.maximum(sources, size - sources)
-        boxes = np.flatnonzero(full > leaf_size)
-        if full.max() <= 2 * leaf_size and size[boxes].sum() <= _FEW * count:
+        too_full = full > leaf_size
+        forced = np.zeros(len(full), bool) if region is None else region.straddles(level, cells[-1])
+        fullest = 3 * leaf_size if forced.any() else int(full.max(initial=0))
+        amounts = fullest, int(size[too_full].sum()), count
+        fullest, in_full, all_ = amounts if region is None else region.most(*amounts)
+        if fullest <= 2 * leaf_size and in_full <= _FEW * all_:
             break
+        boxes = np.flatnonzero(too_full | forced)
         middle = low + (cells[-1][boxes] + 0.5) * (width * 0.5**level)
         begin = np.empty((len(boxes), OCTANTS + 1), np.int64)
         begin[:, 0], begin[:, -1] = start[boxes], stop[boxes]
 
-        def sort(chunk: slice, middle: np.ndarray = middle, begin: np.ndarray = begin) -> None:
-            _sort(points, order, middle[chunk], begin[chunk])
+        some = middle, begin, forced[boxes]
 
-        threads(sort, len(boxes), 1 + len(boxes) // _PIECES)
+        def sort(chunk: slice, some: tuple[np.ndarray, ...] = some) -> None:
+            _sort(points, order, *(each[chunk] for each in some))
+
+        threads(sort, len(boxes), 1 + len(boxes) // PIECES)
         place, octant = np.nonzero(np.diff(begin))
-        if len(place) == 0:
-            break
         lowest, highest = begin[place, octant], begin[place, octant + 1]
         parent = boxes[place]
         depth = np.full(len(place), level + 1)
@@ -211,15 +273,15 @@ def _coincide(points, start, stop):
 
 
 @compiled
-def _sort(points, order, middle, begin):
+def _sort(points, order, middle, begin, forced):
     """Sort the points of some boxes by octant, and write where each begins.
 
     Octant o of box b is to go from ``begin[b, o]`` to ``begin[b, o + 1]``; the first and the last
-    are known. If all points of a box are one, all its octants are empty.
+    are known. If all points of a box are one, all its octants are empty unless it is `forced`.
     """
     for box in range(len(begin)):
         start, stop = begin[box, 0], begin[box, OCTANTS]
-        if _coincide(points, start, stop):
+        if not forced[box] and _coincide(points, start, stop):
             for octant in range(OCTANTS):
                 begin[box, octant + 1] = start
         else:
@@ -253,171 +315,3 @@ def _meet(parent, octant, child, neighbour):
         for slot in range(neighbour.shape[1]):
             dx, dy, dz = slot // 9 - 1, slot // 3 % 3 - 1, slot % 3 - 1
             neighbour[box, slot] = cell_at(octant[box], dx, dy, dz, parent[box], neighbour, child)
-
-
-@inlined
-def touches(tree, fine, coarse):
-    """Tell whether two boxes touch; the first is not the larger."""
-    shift = tree.level[fine] - tree.level[coarse]
-    for d in range(3):
-        cell = tree.cell[fine, d]
-        low = tree.cell[coarse, d] << shift
-        if cell < low - 1 or cell > (tree.cell[coarse, d] + 1) << shift:
-            return False
-    return True
-
-
-@inlined
-def _count(ranges, box):
-    return ranges[box, 1] - ranges[box, 0]
-
-
-@inlined
-def _emit(entries, count, box):
-    if count < len(entries):
-        entries[count] = box
-    return count + 1
-
-
-@inlined
-def _near_below(tree, leaf, box, expansion_size, stack, entries, count):
-    """List what acts on `leaf` directly of a box of its own size that touches it."""
-    stack[0] = box
-    height = 1
-    while height > 0:
-        height -= 1
-        box = stack[height]
-        if _count(tree.source, box) == 0:
-            continue
-        if not touches(tree, box, leaf):
-            proxies = _count(tree.source, box) > expansion_size
-            count = _emit(entries, count, ~box if proxies else box)
-        elif tree.leaf[box]:
-            count = _emit(entries, count, box)
-        else:
-            for octant in range(tree.child.shape[1]):
-                if tree.child[box, octant] >= 0:
-                    stack[height] = tree.child[box, octant]
-                    height += 1
-    return count
-
-
-@inlined
-def _topmost_apart(tree, box, coarse):
-    """Return the largest box around `box` that does not touch `coarse`."""
-    while not touches(tree, tree.parent[box], coarse):
-        box = tree.parent[box]
-    return box
-
-
-@inlined
-def _near_of(tree, leaf, expansion_size, stack, entries):
-    count = 0
-    for slot in range(tree.neighbour.shape[1]):
-        box = tree.neighbour[leaf, slot]
-        if box >= 0 and tree.leaf[box]:  # most are: without this, lists take 4 times longer
-            if _count(tree.source, box):
-                count = _emit(entries, count, box)
-        elif box >= 0:
-            count = _near_below(tree, leaf, box, expansion_size, stack, entries, count)
-    around = tree.parent[leaf]
-    while around >= 0:
-        for slot in range(tree.neighbour.shape[1]):
-            box = tree.neighbour[around, slot]
-            if box >= 0 and tree.leaf[box] and box != around and _count(tree.source, box):
-                apart = not touches(tree, leaf, box)
-                if (
-                    not apart
-                    or _count(tree.target, _topmost_apart(tree, leaf, box)) <= expansion_size
-                ):
-                    count = _emit(entries, count, box)
-        around = tree.parent[around]
-    return count
-
-
-@inlined
-def _just_apart(tree, box, coarse):
-    """Tell whether `coarse` is a leaf with sources that touches the parent of `box`, not `box`."""
-    return (
-        tree.leaf[coarse]
-        and _count(tree.source, coarse) > 0
-        and touches(tree, tree.parent[box], coarse)
-        and not touches(tree, box, coarse)
-    )
-
-
-@inlined
-def _coarse_of(tree, box, expansion_size, entries):
-    """List the larger leaves whose sources act on the expansion of `box`."""
-    count = 0
-    if _count(tree.target, box) > expansion_size:
-        around = tree.parent[box]
-        while around >= 0:
-            for slot in range(tree.neighbour.shape[1]):
-                other = tree.neighbour[around, slot]
-                if other >= 0 and other != around and _just_apart(tree, box, other):
-                    count = _emit(entries, count, other)
-            around = tree.parent[around]
-    return count
-
-
-def direct_lists(
-    tree: Octree, boxes: np.ndarray, expansion_size: int, coarse: bool, threads: Threads
-) -> tuple[np.ndarray, np.ndarray]:
-    """List the boxes whose sources act on some boxes not through a translation.
-
-    Parameters
-    ----------
-    tree : Octree
-    boxes : (n,) int64
-        Leaves with targets, or for `coarse` any boxes with targets.
-    expansion_size : int
-        An expansion stands for more points than that only.
-    coarse : bool
-        Whether sources act on the boxes' expansions, rather than on their targets.
-    threads : Threads
-
-    Returns
-    -------
-    begin : (n + 1,) int64
-    entries : (begin[-1],) int64
-        A box whose sources act, or ``~box`` if its expansion does.
-    """
-    lists: dict[int, tuple[np.ndarray, np.ndarray]] = {0: (np.zeros(0, np.int64),) * 2}
-
-    def find(chunk: slice) -> None:
-        lists[chunk.start] = _lists(tree, boxes[chunk], expansion_size, coarse)
-
-    threads(find, len(boxes), 1 + len(boxes) // _PIECES)
-    counts, entries = map(np.concatenate, zip(*(lists[i] for i in sorted(lists)), strict=True))
-    return np.append(0, counts.cumsum()), entries
-
-
-@compiled
-def _lists(tree, boxes, expansion_size, coarse):
-    """Return how many entries each of some boxes has, and all of them."""
-    counts = np.empty(len(boxes), np.int64)
-    stack = np.empty(8 * (len(tree.first) + 1), np.int64)
-    buffer = np.empty(1024, np.int64)
-    entries = np.empty(1024, np.int64)
-    stop = 0
-    for i in range(len(boxes)):
-        count = -1
-        while count < 0:
-            if coarse:
-                count = _coarse_of(tree, boxes[i], expansion_size, buffer)
-            else:
-                count = _near_of(tree, boxes[i], expansion_size, stack, buffer)
-            if count > len(buffer):
-                buffer = np.empty(2 * count, np.int64)
-                count = -1
-        if stop + count > len(entries):
-            larger = np.empty(2 * (stop + count), np.int64)
-            for k in range(stop):
-                larger[k] = entries[k]
-            entries = larger
-        for k in range(count):
-            entries[stop + k] = buffer[k]
-        counts[i] = count
-        stop += count
-    return counts, entries[:stop].copy()

@@ -9,7 +9,8 @@ import numpy as np
 
 from treecode.kernels.base import Kernel
 from treecode.memory import memory_limit
-from treecode.methods.fmm.octree import build_octree, direct_lists, root_widths
+from treecode.methods.fmm.lists import direct_lists
+from treecode.methods.fmm.octree import build_octree
 from treecode.threads import Threads
 
 # An operator's error in the mean square as part of the tolerance: strengths that cancel, and
@@ -76,16 +77,31 @@ def cube_cost(kernel: Kernel, tol: float) -> float:
     return seconds * (0.9e9 if single else 0.75e9) / channels**0.6
 
 
+def sampling_interval(count: int, leaf_size: int) -> int:
+    """Return that one of so many points, `count` in all, shall be in a sample."""
+    return max(1, min(-(-count // _SAMPLE), leaf_size // _PER_LEAF))
+
+
 def choose_width(
-    points: np.ndarray, split: int | None, leaf_size: int, cost: float, threads: Threads
+    widths: list[float],
+    sample: np.ndarray,
+    split: int | None,
+    every: int,
+    leaf_size: int,
+    cost: float,
+    threads: Threads,
 ) -> tuple[float, Work]:
     """Return the side of the root that costs least, which sets how full the leaves are.
 
     Parameters
     ----------
-    points : (3, N) float64
+    widths : list of float
+        To choose from, see `octree.root_widths`.
+    sample : (3, n) float64
         Sources, and after the first `split` of them targets; all are both if it is None.
     split : int, optional
+    every : int
+        One of so many points is in the sample: `sampling_interval`.
     leaf_size : int
     cost : float
         Of a cube, see `cube_cost`.
@@ -97,10 +113,6 @@ def choose_width(
     work : Work
         Estimated from a sample.
     """
-    widths = root_widths(points)
-    every = max(1, min(-(-points.shape[1] // _SAMPLE), leaf_size // _PER_LEAF))
-    sample = points[:, ::every]
-    fewer = None if split is None else -(-split // every)
     # Counts in a sample scatter, and cubes that hardly fit in must not seem to be split.
     mean = leaf_size / every
     most = max(1, round(mean + 0.5 * math.sqrt(mean * (1.0 - 1.0 / every))))
@@ -109,7 +121,7 @@ def choose_width(
     def weigh(chunk: slice) -> None:
         width = widths[chunk.start]
         with Threads(most=1) as alone:
-            tree, _, _ = build_octree(sample.copy(), fewer, most, width, alone)
+            tree, _, _ = build_octree(sample.copy(), split, most, width, alone)
             leaves = np.flatnonzero(tree.leaf)
             begin, entries = direct_lists(tree, leaves, len(sample.T), False, alone)
         counts = np.append(np.diff(tree.source)[entries, 0], 0)

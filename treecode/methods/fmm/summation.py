@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
 from treecode.kernels.base import Kernel
 from treecode.methods.fmm.blas import blas_of_one_thread
-from treecode.methods.fmm.far_field import FarField
-from treecode.methods.fmm.hierarchy import Hierarchy
+from treecode.methods.fmm.far_field import Expansions, FarField
+from treecode.methods.fmm.hierarchy import Hierarchy, first_level
 from treecode.methods.fmm.lists import find_lists
 from treecode.methods.fmm.near_field import NearField
-from treecode.methods.fmm.octree import Octree, build_octree, root_widths
-from treecode.methods.fmm.sizing import Work, choose_width, cube_cost, expansion_size
+from treecode.methods.fmm.octree import Box, Octree, build_octree, root_widths
+from treecode.methods.fmm.sizing import (
+    Work,
+    choose_width,
+    cube_cost,
+    expansion_size,
+    sampling_interval,
+)
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -79,7 +85,8 @@ class FastMultipole:
                 self.targets = np.ascontiguousarray(self.targets[:, self.target_order])
             self._lists = find_lists(self._tree, expansion_size(self.tol, self.degree), threads)
         with self.seconds.stage("operators"):
-            self._operators.serve(self._tree, self._lists)
+            first, levels = first_level(self._tree, self._lists), range(self._tree.depth + 1)
+            self._operators.serve(first, [self._tree.half(level) for level in levels[first:]])
 
     def work(self, sources: np.ndarray, targets: np.ndarray | None) -> Work:
         """Return what a sum over such points takes, as a sample tells; nothing is built."""
@@ -92,10 +99,12 @@ class FastMultipole:
 
     def _choose_width(self, points: np.ndarray, split: int | None, threads: Threads) -> None:
         """Choose the side of the root, and keep it as long as points fit."""
-        widths = root_widths(points)
+        widths = root_widths(Box.around(points))
         if not widths[0] <= self.width <= widths[-1]:
+            every = sampling_interval(points.shape[1], self.leaf_size)
+            fewer = None if split is None else -(-split // every)
             self.width, self._work = choose_width(
-                points, split, self.leaf_size, self._cube_cost, threads
+                widths, points[:, ::every], fewer, every, self.leaf_size, self._cube_cost, threads
             )
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
@@ -104,30 +113,47 @@ class FastMultipole:
         self._pairs = 0, 0
         if self._tree is None:
             return values
-        weights = np.empty((self.kernel.weight_size, len(strengths)))
         prepared = self._tree, self._lists, self._operators
         with blas_of_one_thread, Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
-                load_weights(self.kernel, strengths, self.source_order, weights, threads)
-                # A power of two: singles hold nothing below 1e-38, nor above 1e38.
-                unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
-                weights /= unit
+                weights, unit = self._weights(strengths, threads)
             far = FarField(*prepared, threads)
             near = NearField(self.kernel, *prepared, self.sources, weights, threads)
             with self.seconds.stage("upward"):
                 multipole = far.upward(self.sources, weights)
+            arrive = self._send(multipole)
+            with self.seconds.stage("near"):
+                near.sum_neighbours(multipole, self.targets, self.target_order, values)
+            arrive()
             with self.seconds.stage("translations"):
                 local = far.translate(multipole)
                 near.act_on_smaller(local)
             with self.seconds.stage("downward"):
                 far.downward(local)
-            with self.seconds.stage("near"):
-                near.sum_neighbours(multipole, self.targets, self.target_order, values)
             with self.seconds.stage("far"):
                 far.evaluate(local, self.targets, self.target_order, values)
                 values *= unit
         self._pairs = near.near_pairs, far.pairs + near.far_pairs
         return values
+
+    def _weights(self, strengths: np.ndarray, threads: Threads) -> tuple[np.ndarray, float]:
+        """Return weights in tree order, (weight_size, N), and the unit that they are in.
+
+        It is a power of two: singles hold nothing below 1e-38, nor above 1e38.
+        """
+        weights = np.empty((self.kernel.weight_size, len(strengths)))
+        load_weights(self.kernel, strengths, self.source_order, weights, threads)
+        unit = self._power_of_two(max(weights.max(), -weights.min()))
+        weights /= unit
+        return weights, unit
+
+    def _power_of_two(self, largest: float) -> float:
+        """Return a power of two above the largest weight."""
+        return math.ldexp(0.5, math.frexp(largest)[1])
+
+    def _send(self, multipole: Expansions) -> Callable[[], None]:
+        """Begin to exchange expansions with others; return what ends that."""
+        return lambda: None
 
     @property
     def effort(self) -> float:

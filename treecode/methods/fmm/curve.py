@@ -1,0 +1,166 @@
+"""The curve of Morton through the cubes of an octree, of which each rank has a piece."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from treecode._jit import compiled
+from treecode.methods.fmm.octree import Box, root_corner
+from treecode.ranks import OneRank
+from treecode.threads import Threads
+from treecode.tree import octant_of
+
+LEVELS = 21  # of cubes that the curve tells apart: three bits each of a key
+END = np.uint64(1 << 3 * LEVELS)
+_AROUND = np.stack(np.meshgrid(*3 * [[-1, 0, 1]], indexing="ij"), axis=-1).reshape(-1, 3)
+_MASKS = (  # that spread 21 bits, a third of them at a time
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+
+
+def keys_of(points: np.ndarray, box: Box, width: float, threads: Threads) -> np.ndarray:
+    """Return the place of each point on the curve, (P,) uint64.
+
+    Parameters
+    ----------
+    points : (3, P) float64
+    box : Box
+        Around all points.
+    width : float
+        Side of the root.
+    threads : Threads
+    """
+    keys = np.empty(points.shape[1], np.uint64)
+    corner, levels = root_corner(box, width)
+
+    def find(some: slice) -> None:
+        _keys(points[:, some], corner, width, min(levels, LEVELS), keys[some])
+
+    threads(find, len(keys), least=1000)
+    return keys
+
+
+@compiled
+def _keys(points, corner, width, levels, keys):
+    """Write where the points lie, by the comparisons with which a tree sorts them."""
+    middle, cell = np.empty(3), np.empty(3, np.int64)
+    for i in range(len(keys)):
+        key, side = 0, width
+        for d in range(3):
+            cell[d] = 0
+        for _ in range(levels):
+            for d in range(3):
+                middle[d] = corner[d] + (cell[d] + 0.5) * side
+            octant = octant_of(points, i, middle)
+            key = 8 * key + octant
+            for d in range(3):
+                cell[d] = 2 * cell[d] + (octant >> d & 1)
+            side *= 0.5
+        keys[i] = key << 3 * (LEVELS - levels)
+
+
+def first_keys(level: int, cells: np.ndarray) -> np.ndarray:
+    """Return the first key in each of some cubes, (...), with cells (..., 3) of one level."""
+    finest = cells >> max(0, level - LEVELS)
+    bits = finest.astype(np.uint64)
+    for shift, mask in _MASKS:
+        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
+    keys = bits[..., 0] | bits[..., 1] << np.uint64(1) | bits[..., 2] << np.uint64(2)
+    return keys << np.uint64(3 * max(0, LEVELS - level))
+
+
+def length(level: int) -> np.uint64:
+    """Return how many keys a cube of a level has."""
+    return np.uint64(1 << 3 * max(0, LEVELS - level))
+
+
+def cells_of(level: int, keys: np.ndarray) -> np.ndarray:
+    """Return the cells, (n, 3), of the cubes of a level, at most `LEVELS`, around keys."""
+    cells = np.zeros((len(keys), 3), np.int64)
+    octants = keys >> np.uint64(3 * (LEVELS - level))
+    for bit in range(level):
+        for d in range(3):
+            one = octants >> np.uint64(3 * bit + d) & np.uint64(1)
+            cells[:, d] |= one.astype(np.int64) << bit
+    return cells
+
+
+class Shared(NamedTuple):
+    """The cubes in which several ranks have points, from the root on.
+
+    Attributes
+    ----------
+    level, parent : (S,) int64
+        The parent is one of them; -1 for the root.
+    cell : (S, 3) int64
+    """
+
+    level: np.ndarray
+    parent: np.ndarray
+    cell: np.ndarray
+
+
+class Pieces:
+    """The pieces of the curve that ranks have: an `octree.Region`.
+
+    Parameters
+    ----------
+    ranks : OneRank
+    box : Box
+        Around all points.
+    begin : (size + 1,) uint64
+        First key of each rank, and the end.
+    """
+
+    def __init__(self, ranks: OneRank, box: Box, begin: np.ndarray) -> None:
+        self._ranks, self.box, self.begin = ranks, box, begin
+
+    def straddles(self, level: int, cell: np.ndarray) -> np.ndarray:
+        """Tell which cubes of a level, with cells (n, 3), reach into the pieces of others."""
+        if level > LEVELS:
+            return np.zeros(len(cell), bool)
+        low = first_keys(level, cell)
+        first, stop = self.begin[self._ranks.rank : self._ranks.rank + 2]
+        return (low < first) | (low + length(level) > stop)
+
+    def most(self, fullest: int, in_full: int, count: int) -> tuple[int, int, int]:
+        """Return the most of all, and the totals of two numbers."""
+        told = self._ranks.exchange((fullest, in_full, count))
+        most, *others = zip(*told, strict=True)
+        return max(most), sum(others[0]), sum(others[1])
+
+    def around(self, level: int, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first and the last rank, (n, 27), in the 27 cubes around cells of a level.
+
+        Cubes outside the root are those of the cell itself.
+        """
+        near = cell[:, None] + _AROUND
+        inside = ((near >= 0) & (near < 1 << level)).all(axis=2)
+        low = first_keys(level, np.where(inside[..., None], near, cell[:, None]))
+        first = np.searchsorted(self.begin, low, "right") - 1
+        last = np.searchsorted(self.begin, low + length(level), "left") - 1
+        return first, last
+
+    def shared(self) -> Shared:
+        """Return the cubes in which several ranks have points: those around a first key inside."""
+        inner = np.unique(self.begin[1:-1])
+        levels, parents = [np.zeros(1, np.int64)], [np.full(1, -1)]
+        cells = [np.zeros((1, 3), np.int64)]
+        above, before = np.zeros(1, np.uint64), 0
+        for level in range(1, LEVELS + 1):
+            inside = inner & (length(level) - np.uint64(1)) != 0
+            starts = np.unique(inner[inside & (inner < END)] // length(level) * length(level))
+            if not len(starts):
+                break
+            up = starts // length(level - 1) * length(level - 1)
+            levels.append(np.full(len(starts), level))
+            parents.append(before + np.searchsorted(above, up))
+            cells.append(cells_of(level, starts))
+            before, above = before + len(above), starts
+        return Shared(np.concatenate(levels), np.concatenate(parents), np.concatenate(cells))
