@@ -6,9 +6,7 @@ import pickle
 import shutil
 import subprocess
 import sys
-import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -194,49 +192,6 @@ while time.monotonic() < start + 60.0:
 
 
 # --- ranks that are threads, which are quicker ---------------------------------------------------
-
-
-class ThreadComm:
-    """The part of a communicator that is used, among the threads of one process."""
-
-    def __init__(self, rank, size, room, barrier):
-        self.rank, self.size, self._room, self._barrier = rank, size, room, barrier
-
-    def allgather(self, value):
-        self._room[self.rank] = pickle.dumps(value)
-        self._barrier.wait(30.0)
-        told = [pickle.loads(each) for each in self._room]
-        self._barrier.wait(30.0)
-        return told
-
-    def Allgatherv(self, own, into):  # noqa: N802
-        values, sizes = into
-        parts = self.allgather(own)
-        assert [part.size for part in parts] == sizes
-        values[...] = np.concatenate(parts)
-
-    def Abort(self, status):  # noqa: N802
-        raise AssertionError("not among threads")
-
-
-@pytest.fixture
-def on_ranks(monkeypatch):
-    """A function that calls another on some ranks, and returns what each returns or raises."""
-    monkeypatch.setattr(sys, "excepthook", sys.__excepthook__)
-
-    def call(size, function):
-        room, barrier = [None] * size, threading.Barrier(size)
-
-        def one(rank):
-            try:
-                return function(ThreadComm(rank, size, room, barrier))
-            except Exception as error:
-                return error
-
-        with ThreadPoolExecutor(size) as pool:
-            return list(pool.map(one, range(size)))
-
-    return call
 
 
 def some(n=1500):
