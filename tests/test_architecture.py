@@ -26,7 +26,9 @@ ALLOWED = {
     "treecode.locks": set(),
     "treecode.accuracy": {"treecode.kernels.base"},
     "treecode.tree": {"treecode._jit"},
-    "treecode.upward": {"treecode._jit", "treecode.threads", "treecode.tree"},
+    "treecode.upward": {
+        "treecode._jit", "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.tree",
+    },
     "treecode.traversal": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
         "treecode.threads", "treecode.tree",
@@ -36,8 +38,8 @@ ALLOWED = {
         "treecode.check", "treecode.kernels.base", "treecode.methods.base",
     },
     "treecode.methods.walk": {
-        "treecode.kernels.base", "treecode.methods.base", "treecode.threads", "treecode.timing",
-        "treecode.traversal", "treecode.tree",
+        "treecode.kernels.base", "treecode.methods.base", "treecode.ranks", "treecode.threads",
+        "treecode.timing", "treecode.traversal", "treecode.tree", "treecode.upward",
     },
     "treecode.methods.treecode": {
         "treecode.check", "treecode.methods.base", "treecode.methods.walk", "treecode.traversal",
@@ -45,16 +47,15 @@ ALLOWED = {
     },
     "treecode.methods.direct": {
         "treecode.methods.base", "treecode.methods.registry", "treecode.methods.walk",
-        "treecode.threads", "treecode.tree",
+        "treecode.tree",
     },
     "treecode.methods.kitc": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.methods.treecode",
-        "treecode.pairs", "treecode.threads", "treecode.tree", "treecode.upward",
+        "treecode.pairs", "treecode.tree",
     },
     "treecode.methods.taylor": {
         "treecode._jit", "treecode._lanes", "treecode.check", "treecode.kernels.base",
-        "treecode.methods.base", "treecode.methods.treecode", "treecode.threads", "treecode.tree",
-        "treecode.upward",
+        "treecode.methods.base", "treecode.methods.treecode", "treecode.tree",
     },
     "treecode.methods.fmm.legendre": set(),
     "treecode.methods.fmm.octree": {"treecode._jit", "treecode.threads", "treecode.tree"},

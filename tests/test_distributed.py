@@ -115,6 +115,11 @@ def test_cubes_of_two_pieces_are_split_by_any_rule(points):
         assert len(np.unique(np.searchsorted(begin, inside, "right"))) > 1
 
 
+def described(tree, boxes):
+    """Return level, cell and number of sources of some boxes."""
+    return [(tree.level[i], *tree.cell[i], *np.diff(tree.source[i])) for i in boxes]
+
+
 @pytest.mark.parametrize("points", SETS)
 @pytest.mark.parametrize("size", [2, 5])
 def test_leaves_of_all_ranks_are_those_of_one_tree(points, size, on_ranks):
@@ -135,12 +140,10 @@ def test_leaves_of_all_ranks_are_those_of_one_tree(points, size, on_ranks):
             pieces = Pieces(ranks, box, begin)
             tree, _, _ = build_octree(columns[:, own], None, LEAF, width, threads, pieces)
         full = np.flatnonzero(tree.leaf & (np.diff(tree.source)[:, 0] > 0))
-        return [(tree.level[i], *tree.cell[i], *np.diff(tree.source[i])) for i in full]
+        return described(tree, full)
 
     found = on_ranks(size, leaves)
-    wanted = [
-        (tree.level[i], *tree.cell[i], *np.diff(tree.source[i])) for i in np.flatnonzero(tree.leaf)
-    ]
+    wanted = described(tree, np.flatnonzero(tree.leaf))
     assert sorted(itertools.chain(*found)) == sorted(wanted)
 
 
@@ -237,7 +240,7 @@ def test_work_is_shared_where_points_crowd(on_ranks):
 
 
 def test_the_next_sum_of_moved_points(on_ranks):
-    """Pieces and operators are kept; other strengths, and other numbers of points, take their place."""
+    """Pieces and operators are kept; other strengths and other numbers of points are taken."""
     rng = np.random.default_rng(8)
     points, strengths = rng.random((3000, 3)), rng.standard_normal((2, 3000, 3))
     cut = shares(3000, 2)
@@ -285,7 +288,7 @@ def test_a_tolerance_over_the_targets_of_all(on_ranks):
 
 
 def test_a_choice_has_the_pieces(on_ranks):
-    """So a sum that goes on from a choice has the same bits; on other ranks they are divided anew."""
+    """So a sum that goes on has the same bits; on other ranks the pieces are divided anew."""
     rng = np.random.default_rng(10)
     points, strengths = clumps(rng, 3000), rng.standard_normal((3000, 3))
 

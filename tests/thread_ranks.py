@@ -7,6 +7,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 
+_PATIENCE = 120.0  # seconds: another rank may compile
+
+
 class ThreadComm:
     """The part of a communicator that is used, among the threads of one process."""
 

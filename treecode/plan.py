@@ -371,7 +371,7 @@ class Plan:
 
         `near_pairs` (target and source) and `far_pairs` (target and term of an expansion; in the
         fast multipole method cube and translation) are those of the last `execute`, None before it.
-        `bytes` is what the plan holds between calls, `received_bytes` the values of other ranks.
+        `bytes` is what the plan holds between calls, `received_bytes` what other ranks have sent.
         """
         self._require_points()
         sources, targets = self._counts

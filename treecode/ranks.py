@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pickle
 import sys
@@ -11,7 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import wraps
 from types import TracebackType
-from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -43,9 +44,11 @@ class OneRank:
     ----------
     rank, size : int
         The number of this process, from 0 on, and how many there are.
+    received : int
+        Bytes that `gather` has brought from others so far.
     """
 
-    rank, size = 0, 1
+    rank, size, received = 0, 1, 0
 
     def exchange(self, value: _T) -> list[_T]:
         """Return what each rank gives; an error that one of them tells is raised."""
@@ -58,12 +61,16 @@ class OneRank:
     def require_same(self, **arrays: np.ndarray | None) -> None:
         """Refuse arrays of 64-bit numbers that differ from rank to rank."""
 
+    def cuts(self, count: int) -> np.ndarray:
+        """Return where equal shares of so many begin and end, (size + 1,) int64."""
+        return count * np.arange(self.size + 1) // self.size
+
     def share(self, count: int) -> slice:
         """Return which of so many are this rank's."""
-        return slice(count * self.rank // self.size, count * (self.rank + 1) // self.size)
+        return slice(*self.cuts(count)[self.rank : self.rank + 2].tolist())
 
     def gather(self, rows: np.ndarray) -> np.ndarray:
-        """Return the rows of all ranks, (n, columns) float64 of each, one after the other."""
+        """Return the rows of all ranks, (n, ...) numbers of each, one after the other."""
         return rows
 
     def add_up(self, numbers: np.ndarray) -> np.ndarray:
@@ -144,12 +151,12 @@ class Ranks(OneRank):
                     raise _known_to_all(error, 0)
 
     def gather(self, rows: np.ndarray) -> np.ndarray:
-        """Return the rows of all ranks, (n, columns) float64 of each, one after the other."""
+        """Return the rows of all ranks, (n, ...) numbers of each, one after the other."""
         counts = self.exchange(len(rows))  # hears of errors as well
-        columns = rows.shape[1]
-        together = np.empty((sum(counts), columns))
-        sizes = [count * columns for count in counts]
+        together = np.empty((sum(counts), *rows.shape[1:]), rows.dtype)
+        sizes = [count * math.prod(rows.shape[1:]) for count in counts]
         self._comm.Allgatherv(np.ascontiguousarray(rows), (together, sizes))
+        self.received += together.nbytes - rows.nbytes
         return together
 
     def add_up(self, numbers: np.ndarray) -> np.ndarray:
@@ -288,6 +295,7 @@ def ranks_of(comm: Any) -> OneRank:
     return OneRank() if comm.size == 1 else Ranks(comm)
 
 
+@runtime_checkable
 class Shared(Protocol):
     """What ranks share."""
 

@@ -1,12 +1,12 @@
 """A sum whose targets are shared by ranks; points and strengths are known to all of them.
 
 This is algorithm 2 of T. Each rank sums at targets that are neighbours in space, and all are told
-the values.
+the values. The shares of the targets follow the work that they have made.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from treecode.kernels.base import Kernel
 from treecode.methods import registry
 from treecode.methods.base import Method, Sum
 from treecode.methods.registry import Choice
-from treecode.ranks import OneRank
+from treecode.ranks import OneRank, Shared
 from treecode.sliced_sum import SlicedSum
 from treecode.timing import Seconds
 
@@ -23,6 +23,7 @@ _BITS = 5  # of a coordinate in each of two codes, which NumPy sorts by their di
 _SPREAD = np.array(
     [sum((i >> b & 1) << 3 * b for b in range(_BITS)) for i in range(1 << _BITS)], np.uint16
 )
+_IMBALANCE = 0.02  # of the work of a rank beyond the mean, from which on shares are changed
 
 
 def made(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False) -> Sum:
@@ -71,8 +72,34 @@ def _interleaved(cells: np.ndarray) -> np.ndarray:
     return x | y << 1 | z << 2
 
 
+def balanced(cuts: np.ndarray, work: Sequence[float]) -> np.ndarray:
+    """Return other ends of shares, (R + 1,), between which the work should be equal.
+
+    Within each share that has been summed it is taken as constant. Counts of work tell it, not
+    times: a sum depends on no clock.
+
+    Parameters
+    ----------
+    cuts : (R + 1,) int64
+        Where the shares begin and end that have been summed.
+    work : sequence of R floats
+        Of each of them.
+    """
+    ranks, total = len(work), sum(work)
+    if ranks * max(work) <= (1.0 + _IMBALANCE) * total:
+        return cuts
+    done = np.concatenate([[0.0], np.cumsum(work)])
+    moved = cuts.copy()
+    moved[1:-1] = np.rint(np.interp(total * np.arange(1, ranks) / ranks, done, cuts))
+    return moved
+
+
 class SharedSum:
     """A `methods.base.Sum` of which each rank makes its share.
+
+    A sum with the attribute `ranks` is told of them, and its shares follow the work. Of any other
+    the values may depend on the shares. They are equal then, or else those of a resumed run would
+    be others.
 
     Parameters
     ----------
@@ -89,10 +116,17 @@ class SharedSum:
         self._shared = Seconds()
         self._pairs: tuple[int | None, int | None] = None, None
         self._received: int | None = None
-        self.effort = 0.0
+        self._cuts, self._work = ranks.cuts(0), [0.0] * ranks.size
 
     def _make(self, parameters: Mapping[str, Any]) -> None:
         self._own = self._method.make(self._kernel, parameters, self._progress)
+        if isinstance(self._own, Shared):
+            self._own.ranks = self._ranks
+
+    @property
+    def effort(self) -> float:
+        """Work of the last sum, of all ranks, in pairs."""
+        return sum(self._work)
 
     @property
     def parameters(self) -> Mapping[str, Any]:
@@ -107,23 +141,24 @@ class SharedSum:
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Take points, (3, N) and (3, M): a share of the targets, and all sources.
 
-        What is chosen by the points is chosen by all of them. The outermost targets are in each
-        share, so that no box around points differs.
+        What is chosen by the points is chosen by all of them. Where the sum does not know of ranks,
+        the outermost targets are in each share, so that no box around points differs.
         """
-        self._shared, self._pairs, self.effort = Seconds(), (None, None), 0.0
-        self._received = None
+        self._shared, self._pairs, self._received = Seconds(), (None, None), None
         with self._shared.stage("sharing"):
             before = self._own.parameters
             fitted = self._method.fitted(self._kernel, before, sources, targets)
-            parameters = self._ranks.first(fitted)
-            if parameters != before:
-                self._make(parameters)
             everywhere = sources if targets is None else targets
             count = everywhere.shape[1]
+            parameters, self._cuts = self._ranks.first((fitted, self._next_cuts(count)))
+            self._work = [0.0] * self._ranks.size
+            if parameters != before:
+                self._make(parameters)
             self._order = along_curve(everywhere) if count else np.arange(0)
-            own = self._order[self._ranks.share(count)]
+            begin, end = self._cuts[self._ranks.rank : self._ranks.rank + 2]
+            own = self._order[begin:end]
             self._count = len(own)
-            if targets is not None and count:
+            if targets is not None and count and not isinstance(self._own, Shared):
                 own = np.concatenate([own, targets.argmin(axis=1), targets.argmax(axis=1)])
             share = np.ascontiguousarray(everywhere[:, own])
         self._own.set_points(sources, share)
@@ -133,21 +168,27 @@ class SharedSum:
         else:
             self.targets, self.target_order = targets, np.arange(count)
 
+    def _next_cuts(self, count: int) -> np.ndarray:
+        if count == self._cuts[-1] and isinstance(self._own, Shared):
+            return balanced(self._cuts, self._work)
+        return self._ranks.cuts(count)
+
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size), on all ranks."""
+        received = self._ranks.received
         own = self._own.execute(strengths)[: self._count]
         info = self._own.info()
         with self._shared.stage("waiting"):
-            work = self._ranks.exchange(
+            done = self._ranks.exchange(
                 (self._own.effort, info["near_pairs"] or 0, info["far_pairs"] or 0)
             )
-        self.effort, *pairs = map(sum, zip(*work, strict=True))
-        self._pairs = pairs[0], pairs[1]
+        self._work, near, far = map(list, zip(*done, strict=True))
+        self._pairs = sum(near), sum(far)
         with self._shared.stage("communication"):
             gathered = self._ranks.gather(own)
             values = np.empty_like(gathered)
             values[self._order] = gathered
-        self._received = gathered.nbytes - own.nbytes
+        self._received = self._ranks.received - received
         return values
 
     def info(self) -> dict[str, Any]:

@@ -124,6 +124,11 @@ class Sum(Protocol):
         The points, in any order; one array if the targets are the sources.
     source_order, target_order : (N,) and (M,) int
         Which of the points that were set stands at each place.
+    ranks : treecode.ranks.OneRank
+        A sum need not have it. If several ranks share the targets, each has a sum of all sources at
+        some of the targets, which is told of the ranks before it gets points. It may then share
+        other work too: its calls are made on all ranks alike. It promises that its values at a
+        target do not depend on which others are with it.
     """
 
     @property

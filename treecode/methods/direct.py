@@ -10,7 +10,6 @@ import numpy as np
 from treecode.methods.base import KEYWORDS, PRECISIONS, Case, Offer
 from treecode.methods.registry import Choice
 from treecode.methods.walk import WalkMethod
-from treecode.threads import Threads
 from treecode.tree import Tree, build_tree
 
 NAME = "direct"
@@ -70,14 +69,7 @@ class DirectSummation(WalkMethod):
         """Return the expansion that is never used."""
         return NoExpansion()
 
-    def update(
-        self,
-        expansion: NoExpansion,
-        tree: Tree,
-        sources: np.ndarray,
-        weights: np.ndarray,
-        threads: Threads,
-    ) -> None:
+    def update(self, *arguments: Any) -> None:
         """Do nothing: the sum is taken over the points themselves."""
 
 

@@ -11,9 +11,7 @@ from treecode._lanes import LANES
 from treecode.kernels.base import SMALLEST, Kernel
 from treecode.methods.treecode import Treecode
 from treecode.pairs import accumulate
-from treecode.threads import Threads
 from treecode.tree import Tree, build_tree
-from treecode.upward import fill
 
 NAME = "kitc"
 
@@ -37,6 +35,11 @@ class Interpolation(NamedTuple):
     nodes: np.ndarray
     slot: np.ndarray
     weights: np.ndarray
+
+    @property
+    def data(self) -> np.ndarray:
+        """What is filled: the modified weights."""
+        return self.weights
 
     def holds(self, cluster):
         return self.slot[cluster] >= 0
@@ -91,18 +94,6 @@ class KernelIndependentTreecode(Treecode):
         nodes = np.sin(np.pi * (degree - 2 * np.arange(degree + 1)) / (2 * degree))
         shape = (np.count_nonzero(expanded), kernel.weight_size, proxies)
         return Interpolation(nodes, slot, np.empty(shape, dtype))
-
-    def update(
-        self,
-        expansion: Interpolation,
-        tree: Tree,
-        sources: np.ndarray,
-        weights: np.ndarray,
-        threads: Threads,
-    ) -> None:
-        """Compute the modified weights from the particles' `weights`."""
-        expansion.weights[...] = 0.0
-        fill(expansion, tree, sources, weights, threads)
 
 
 METHOD = KernelIndependentTreecode()

@@ -38,9 +38,7 @@ from treecode._lanes import inverse_sqrt
 from treecode.kernels.base import COLUMNS, MEMBERS, Kernel
 from treecode.methods.base import KEYWORDS
 from treecode.methods.treecode import Treecode
-from treecode.threads import Threads
 from treecode.tree import Tree, build_tree
-from treecode.upward import fill
 
 NAME = "taylor"
 
@@ -137,6 +135,11 @@ class Expansion(NamedTuple):
     slot: np.ndarray
     contractions: np.ndarray
     moments: np.ndarray
+
+    @property
+    def data(self) -> np.ndarray:
+        """What is filled: the moments, T eqs. (8) and (11), divided by factorials."""
+        return self.moments
 
     def holds(self, cluster):
         return self.slot[cluster] >= 0
@@ -238,18 +241,6 @@ class TaylorTreecode(Treecode):
             contractions=contractions,
             moments=np.empty((np.count_nonzero(expanded), rows, tables["summed"])),
         )
-
-    def update(
-        self,
-        expansion: Expansion,
-        tree: Tree,
-        sources: np.ndarray,
-        weights: np.ndarray,
-        threads: Threads,
-    ) -> None:
-        """Compute the moments, T eqs. (8) and (11), divided by factorials."""
-        expansion.moments[...] = 0.0
-        fill(expansion, tree, sources, weights, threads)
 
 
 METHOD = TaylorTreecode()

@@ -9,6 +9,7 @@ import numpy as np
 
 from treecode.kernels.base import Kernel
 from treecode.methods.base import Method
+from treecode.ranks import OneRank
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import (
@@ -25,6 +26,7 @@ from treecode.traversal import (
     load_weights,
 )
 from treecode.tree import Tree, build_tree
+from treecode.upward import fill
 
 
 class WalkMethod(Method):
@@ -32,7 +34,7 @@ class WalkMethod(Method):
 
     The expansions are a NamedTuple whose methods are compiled: `holds`, `approximate` and `terms`
     for the walk (`treecode.traversal`), and if there are any `gather_particles`, `gather_child` and
-    `finish` to fill them (`treecode.upward`).
+    `finish` to fill its `data` (`treecode.upward`).
     """
 
     def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Walk:
@@ -61,13 +63,21 @@ class WalkMethod(Method):
         sources: np.ndarray,
         weights: np.ndarray,
         threads: Threads,
+        ranks: OneRank,
+        seconds: Seconds,
     ) -> None:
         """Fill the expansions from the sources' `weights`, (weight_size, N) in tree order."""
-        raise NotImplementedError
+        fill(expansion, tree, sources, weights, threads, ranks, seconds)
 
 
 class Walk:
-    """A sum by a `WalkMethod`."""
+    """A sum by a `WalkMethod`.
+
+    Attributes
+    ----------
+    ranks : OneRank
+        Share the targets, if there are several, and then the filling of the expansions too.
+    """
 
     def __init__(
         self, method: WalkMethod, kernel: Kernel, parameters: Mapping[str, Any], progress: bool
@@ -79,6 +89,7 @@ class Walk:
         self._degree, self._leaf_size = parameters.get("degree", 0), parameters.get("leaf_size", 1)
         self._dtype: Any = np.dtype(parameters["precision"]).type
         self._notes: np.ndarray | None = None
+        self.ranks = OneRank()
 
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Sort the points, (3, N) and (3, M); the arrays are kept, and permuted."""
@@ -93,7 +104,7 @@ class Walk:
                 self.targets = targets
                 around, self.target_order = build_tree(targets, BATCH_SIZE, shrink=False)
             self._distance2 = self._method.far_distance2(self._tree, self._theta)
-            wanted = accepted(self._tree, self._distance2, around)
+            wanted = accepted(self._tree, self._distance2, self._of_all_ranks(around))
             self._expansion = self._method.prepare(
                 self.kernel, self._tree, self._degree, wanted, self._dtype
             )
@@ -105,13 +116,22 @@ class Walk:
         weights = np.empty((self.kernel.weight_size, len(strengths)))
         batches = -(-len(values) // BATCH_SIZE)
         notes = self._notes = np.zeros((batches, NOTES), np.int64)
-        if len(strengths) and len(values):
+        if len(strengths) and (len(values) or self.ranks.size > 1):
             # No more threads than batches of points: a sum of 76 points took 0.19 ms on one and
             # 10 ms on two while another process computed.
             most = -(-len(strengths) // BATCH_SIZE)
             with self.seconds.stage("weights"), Threads(most=most) as threads:
                 load_weights(self.kernel, strengths, self.source_order, weights, threads)
-                self._method.update(self._expansion, self._tree, self.sources, weights, threads)
+                self._method.update(
+                    self._expansion,
+                    self._tree,
+                    self.sources,
+                    weights,
+                    threads,
+                    self.ranks,
+                    self.seconds,
+                )
+            self.seconds["weights"] -= self.seconds.get("expansions", 0.0)  # a stage of its own
             like = np.empty(0, self._dtype)
 
             def evaluate(some: slice) -> None:
@@ -156,6 +176,18 @@ class Walk:
             "far_pairs": noted[FAR_PAIRS],
             "bytes": sum(array.nbytes for array in arrays),
         }
+
+    def _of_all_ranks(self, around: Tree) -> Tree:
+        """Return a tree whose root is the box around the targets of all ranks.
+
+        It decides which clusters have an expansion: the same ones on all ranks.
+        """
+        if self.ranks.size == 1:
+            return around
+        own = self.targets
+        corners = own if not own.size else np.stack([own.min(axis=1), own.max(axis=1)], axis=1)
+        of_all = np.concatenate(self.ranks.exchange(corners), axis=1)
+        return build_tree(of_all, BATCH_SIZE, shrink=False)[0]
 
     def _divide_walk(self, notes: np.ndarray) -> None:
         """Divide the time of the walk into near and far sums, and the rest, as batches noted."""
