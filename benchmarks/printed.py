@@ -42,16 +42,66 @@ K2 = {
 # K table 3, errors by epsilon, N = 640K
 K3 = {0.005: 7.68e-6, 0.01: 2.08e-5, 0.02: 3.17e-5, 0.04: 2.78e-5, 0.08: 1.93e-5}
 
-# K tables 4 (organisms, 640K) and 5 (80 x 80 rods), T table 5 (cube, 1000K, theta 0.5, p = 6):
-# seconds on one core and on two
-THREADS = {
-    ("organisms", 640_000, DIRECT): (2249.71, 1123.72),
-    ("organisms", 640_000, KITC): (149.75, 75.01),
-    ("rods", 80, DIRECT): (15651.61, 7907.10),
-    ("rods", 80, KITC): (720.87, 371.91),
-    ("cube", 1_000_000, DIRECT): (9707.0, 4911.4),
-    ("cube", 1_000_000, TAYLOR): (336.6, 176.3),
+# K tables 4 (organisms, 640K) and 5 (80 x 80 rods) by cores, T table 5 (cube, 1000K, theta 0.5,
+# p = 6) by processes: seconds of a direct sum and of the treecode
+K4_CORES = {
+    1: (2249.71, 149.75),
+    2: (1123.72, 75.01),
+    4: (569.58, 38.83),
+    8: (311.50, 21.44),
+    12: (215.49, 16.34),
+    24: (108.22, 10.19),
 }
+K5_CORES = {
+    1: (15651.61, 720.87),
+    2: (7907.10, 371.91),
+    4: (3962.36, 191.89),
+    8: (2120.36, 110.88),
+    12: (1424.27, 80.35),
+    24: (742.85, 43.63),
+}
+T5_PROCESSES = {
+    1: (9707.0, 336.6),
+    2: (4911.4, 176.3),
+    4: (2451.2, 86.6),
+    8: (1345.6, 48.1),
+    16: (702.0, 25.6),
+    32: (350.7, 13.6),
+}
+
+# T table 6, weak scaling of the same: seconds by processes, 125K points for each
+T6_PROCESSES = {
+    1: (145.5, 23.7),
+    2: (291.7, 27.2),
+    4: (610.3, 32.9),
+    8: (1345.7, 48.1),
+    16: (2804.9, 56.7),
+    32: (5565.9, 67.7),
+}
+
+
+class Scaling(NamedTuple):
+    """A table of seconds by cores or processes."""
+
+    name: str
+    points: str
+    size: int
+    treecode: str
+    seconds: dict[int, tuple[float, float]]
+
+    def of(self, backend: str) -> dict[int, float]:
+        """Return the seconds of a method, {} of one that is not in the table."""
+        if backend not in (DIRECT, self.treecode):
+            return {}
+        return {cores: both[backend == self.treecode] for cores, both in self.seconds.items()}
+
+
+STRONG = (
+    Scaling("K table 4", "organisms", 640_000, KITC, K4_CORES),
+    Scaling("K table 5", "rods", 80, KITC, K5_CORES),
+    Scaling("T table 5", "cube", 1_000_000, TAYLOR, T5_PROCESSES),
+)
+WEAK = Scaling("T table 6", "cube", 125_000, TAYLOR, T6_PROCESSES)
 
 # K figure 5 and table 5, by rods on a side
 K5 = {80: Printed(15651.61, 720.87, 2.24e-5)}
@@ -128,3 +178,11 @@ def taylor(size: int, theta: float, order: int) -> tuple[float | None, float | N
     ratios, errors = T[size, theta]
     ratio, error = ratios[ORDERS.index(order)], errors[ORDERS.index(order)]
     return None if ratio is None else T_DIRECT[size] / ratio, error
+
+
+def strong(points: str, size: int, backend: str) -> dict[int, float]:
+    """Return the seconds of K tables 4 and 5 and T table 5 by cores, {} where they print none."""
+    for table in STRONG:
+        if (table.points, table.size) == (points, size):
+            return table.of(backend)
+    return {}

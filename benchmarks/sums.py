@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import importlib.util
+import inspect
 import tempfile
 import time
 import tracemalloc
@@ -24,12 +25,14 @@ from benchmarks.machine import mpirun
 from benchmarks.methods import DIRECT
 from benchmarks.rows import Row
 from treecode.methods.fmm import store
+from treecode.ranks import ranks_of
 
 SAMPLES = 2000  # targets at which errors are taken, as in K 8.1.2
 DIRECT_PAIRS, SAMPLED_PAIRS = 7e9, 3e9  # of direct sums; beyond the first, the second stand for all
 REPEATS, ENOUGH = 3, 6.0  # a sum is repeated so often, if that takes no more than so many seconds
 TURNS = 60.0  # the same of one thread and two in turns, whose ratio is wanted
 FEW = 4000  # points with which compiled code is warmed up
+ALL = slice(None)
 
 
 @dataclass
@@ -84,7 +87,9 @@ class Fmm3d:
 
 
 def can_measure(case: Row) -> bool:
-    """Tell whether the packages that a case needs are installed."""
+    """Tell whether what a case needs is there."""
+    if case.get("distributed") and "distributed" not in inspect.signature(tc.Plan).parameters:
+        return False
     if "ranks" in case and not (mpirun() and importlib.util.find_spec("mpi4py")):
         return False
     return case.get("backend") != "fmm3d" or importlib.util.find_spec("fmm3dpy") is not None
@@ -135,11 +140,11 @@ def no_operators_kept() -> Iterator[None]:
         yield
 
 
-def warm_up(problem: Problem, backend: str, options: dict[str, Any]) -> None:
+def warm_up(problem: Problem, backend: str, options: dict[str, Any], own: slice = ALL) -> None:
     """Compile, by a small sum with every kind of step."""
     if backend != "fmm3d":
         plan = make_plan(problem.kernel, backend, **options | {"degree": 2, "leaf_size": 40})
-        plan.set_points(problem.points[:FEW]).execute(problem.strengths[:FEW])
+        plan.set_points(problem.points[own][:FEW]).execute(problem.strengths[own][:FEW])
 
 
 class Sum:
@@ -153,6 +158,10 @@ class Sum:
         One of treecode's, or "fmm3d".
     sampled : bool, optional
         Only at the targets where the error is taken.
+    comm : mpi4py.MPI.Comm, optional
+        Ranks that share the sum.
+    distributed : bool, optional
+        Each rank has a slice of the points, and gets their values. It needs `comm`.
     **options
         Of the backend.
     """
@@ -164,10 +173,18 @@ class Sum:
         backend: str,
         epsilon: float | None = None,
         sampled: bool = False,
+        comm: Any = None,
+        distributed: bool = False,
         **options: Any,
     ) -> None:
         self.problem = make_problem(points, size, epsilon, backend == "fmm3d")
         self.backend, n = backend, len(self.problem.points)
+        if comm is not None:
+            options["comm"] = comm
+        self._comm, self._own = None, ALL
+        if distributed:
+            self._comm, self._own = comm, ranks_of(comm).share(n)
+            options["distributed"] = True
         wanted = SAMPLES if sampled else n
         if backend == DIRECT and n * n > DIRECT_PAIRS:
             wanted = int(SAMPLED_PAIRS / n)
@@ -175,17 +192,25 @@ class Sum:
         self.targets = self.problem.points[draw(n, wanted)] if wanted < n else None
         self.plan = make_plan(self.problem.kernel, backend, **options)
         with no_operators_kept():
-            warm_up(self.problem, backend, options)
-            self.plan.set_points(self.problem.points, self.targets)
+            warm_up(self.problem, backend, options, self._own)
+            self._set_points()
         self.build = self.plan.info()["seconds"].get("operators", 0.0)
 
     def lap(self) -> tuple[float, float]:
         """Return the seconds of setting the points and of summing."""
         start = time.perf_counter()
-        self.plan.set_points(self.problem.points, self.targets)
+        self._set_points()
         middle = time.perf_counter()
-        self.values = self.plan.execute(self.problem.strengths)
+        self.values = self.plan.execute(self.problem.strengths[self._own])
         return middle - start, time.perf_counter() - middle
+
+    def _set_points(self) -> None:
+        self.plan.set_points(self.problem.points[self._own], self.targets)
+
+    def collect(self) -> None:
+        """Let each rank have all values of the last lap; all of them call this."""
+        if self._comm is not None:
+            self.values = np.concatenate(self._comm.allgather(self.values))
 
     def error(self) -> float | None:
         """Return E of the last lap, K eq. (8.1); None for direct sums, the reference."""

@@ -64,7 +64,8 @@ def _line(row: Row) -> list[str]:
 
 def _paper(row: Row) -> tuple[float | None, float | None]:
     """Return the seconds printed for one core and for two."""
-    return printed.THREADS.get((row["points"], row["size"], row["backend"]), (None, None))
+    seconds = printed.strong(row["points"], row["size"], row["backend"])
+    return seconds.get(1), seconds.get(2)
 
 
 def plot(rows: list[Row], figure: Any) -> None:
