@@ -24,7 +24,7 @@ ALLOWED = {
     "treecode.threads": set(),
     "treecode.timing": set(),
     "treecode.locks": set(),
-    "treecode.accuracy": {"treecode.kernels.base"},
+    "treecode.accuracy": {"treecode.kernels.base", "treecode.ranks"},
     "treecode.tree": {"treecode._jit"},
     "treecode.upward": {
         "treecode._jit", "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.tree",
@@ -33,7 +33,7 @@ ALLOWED = {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.pairs",
         "treecode.threads", "treecode.tree",
     },
-    "treecode.methods.base": {"treecode.check", "treecode.kernels.base"},
+    "treecode.methods.base": {"treecode.check", "treecode.kernels.base", "treecode.ranks"},
     "treecode.methods.registry": {
         "treecode.check", "treecode.kernels.base", "treecode.methods.base",
     },
@@ -81,21 +81,32 @@ ALLOWED = {
         "treecode._jit", "treecode._lanes", "treecode.methods.fmm.octree",
         "treecode.methods.fmm.symmetry", "treecode.pairs",
     },
-    "treecode.methods.fmm.lists": {"treecode.methods.fmm.octree", "treecode.threads"},
+    "treecode.methods.fmm.lists": {
+        "treecode._jit", "treecode.methods.fmm.octree", "treecode.threads",
+    },
     "treecode.methods.fmm.sizing": {
-        "treecode.kernels.base", "treecode.memory", "treecode.methods.fmm.octree",
-        "treecode.threads",
+        "treecode.kernels.base", "treecode.memory", "treecode.methods.fmm.lists",
+        "treecode.methods.fmm.octree", "treecode.threads",
+    },
+    "treecode.methods.fmm.curve": {
+        "treecode._jit", "treecode.methods.fmm.octree", "treecode.ranks", "treecode.threads",
+        "treecode.tree",
+    },
+    "treecode.methods.fmm.partition": {"treecode.methods.fmm.curve", "treecode.ranks"},
+    "treecode.methods.fmm.ghosts": {
+        "treecode.methods.fmm.curve", "treecode.methods.fmm.octree", "treecode.ranks",
     },
     "treecode.methods.fmm": {
         "treecode.check", "treecode.kernels.base", "treecode.methods.base", "treecode.methods.fmm",
-        "treecode.threads", "treecode.timing", "treecode.traversal",
+        "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.traversal",
     },
     "treecode.methods": {"treecode.methods"},
     "treecode.ranks": set(),
     "treecode.shared_sum": {
         "treecode.kernels.base", "treecode.methods.base", "treecode.methods.registry",
-        "treecode.ranks", "treecode.timing",
+        "treecode.ranks", "treecode.sliced_sum", "treecode.timing",
     },
+    "treecode.sliced_sum": {"treecode.methods.base", "treecode.ranks", "treecode.timing"},
     "treecode.choice.model": {"treecode.kernels.base"},
     "treecode.choice.refusals": set(),
     "treecode.choice.sampling": {

@@ -326,7 +326,7 @@ REFUSED = {
         lambda comm: tc.Plan(KERNEL, "fmm", comm=comm, distributed=True).set_points(
             np.eye(3), groups=[0, 0, 1]
         ),
-        r"groups must not be given with distributed=True",
+        "groups must be None with distributed=True",
     ),
     "targets of one": (
         lambda comm: tc.Plan(KERNEL, "fmm", comm=comm, distributed=True).set_points(

@@ -155,7 +155,10 @@ def test_the_model_counts_the_bytes_that_the_code_counts(options):
     """And the row of a measurement has the rates that the model asks for."""
     row = on_ranks(2, points="cube", size=2000, **options)
     measured = Measured.of(row)
-    assert model.replicated(measured, 2000.0, 2, MACHINE).received == row["received"] == 24000
+    cost = model.replicated if options["backend"] == "direct" else model.gathered
+    # Shares are cut where clusters end, so expansions are not quite halved.
+    wanted = pytest.approx(cost(measured, 2000.0, 2, MACHINE).received, rel=0.2)
+    assert row["received"] == (24000 if options["backend"] == "direct" else wanted)
     one = model.replicated(measured, 2000.0, 1, Machine(1, 1.0, MACHINE.network))
     assert one.seconds == pytest.approx(row["seconds"])
     assert measured.rates.rest > 0.0

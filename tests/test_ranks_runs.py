@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 import mrs
-from tests.test_ranks import MPIRUN, ROOT, by_mpi, mpirun, on_ranks  # noqa: F401
+from tests.test_ranks import MPIRUN, ROOT, by_mpi, mpirun
 from tests.test_runs import assert_equal_runs, state_of
 from treecode.ranks import joint, ranks_of, world
 

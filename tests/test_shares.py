@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 import treecode as tc
 from tests.cases.grid_method import Grid
 from tests.cases.inverse_distance import InverseDistance
-from tests.test_ranks import KERNEL, TREECODES, on_ranks, some  # noqa: F401
+from tests.test_ranks import KERNEL, TREECODES, some
 from treecode import upward
 from treecode.methods import registry
 from treecode.ranks import ranks_of
@@ -35,7 +35,7 @@ def walk_of(plan):
 
 @pytest.mark.parametrize("targets", [None, 5, 400], ids=["sources", "few apart", "apart"])
 @pytest.mark.parametrize("options", EXPANDING.values(), ids=EXPANDING)
-def test_expansions_are_those_of_one_process(options, targets, on_ranks):  # noqa: F811
+def test_expansions_are_those_of_one_process(options, targets, on_ranks):
     """Bitwise, on all ranks: which clusters have one, and all of their numbers; pairs as well."""
     points, forces = clumped(1500)
     where = None if targets is None else 3.0 * some(targets)[0] - 1.0
@@ -58,7 +58,7 @@ def test_expansions_are_those_of_one_process(options, targets, on_ranks):  # noq
 
 
 @pytest.mark.parametrize("ranks", [1, 2, 3, 30])
-def test_a_cluster_is_filled_by_who_has_all_its_sources(ranks, on_ranks, monkeypatch):  # noqa: F811
+def test_a_cluster_is_filled_by_who_has_all_its_sources(ranks, on_ranks, monkeypatch):
     """Once, and by no other rank; by all of them if its sources are in several shares."""
     points, forces = clumped()
     filled, fill = [], upward._fill
@@ -86,7 +86,7 @@ def test_a_cluster_is_filled_by_who_has_all_its_sources(ranks, on_ranks, monkeyp
     assert sorted((rank_of[data], cluster) for data, cluster in filled) == sorted(expected)
 
 
-def test_bytes_and_seconds_of_expansions(on_ranks):  # noqa: F811
+def test_bytes_and_seconds_of_expansions(on_ranks):
     """Each rank receives the rows that others alone have filled, and others' values."""
     points, forces = clumped()
 
@@ -108,7 +108,7 @@ def test_bytes_and_seconds_of_expansions(on_ranks):  # noqa: F811
     assert "expansions" not in alone.info()["seconds"]
 
 
-def test_rows_of_any_numbers_are_gathered(on_ranks):  # noqa: F811
+def test_rows_of_any_numbers_are_gathered(on_ranks):
     """In the order of the ranks; a rank may have none."""
     rows = np.arange(72, dtype=np.float32).reshape(6, 3, 4)
 
@@ -147,7 +147,7 @@ def test_shares_of_equal_work(parts):
 
 @pytest.mark.parametrize("kernel", [KERNEL, InverseDistance(0.05)], ids=type)
 @pytest.mark.parametrize("options", TREECODES.values(), ids=TREECODES)
-def test_shares_follow_the_work(options, kernel, on_ranks):  # noqa: F811
+def test_shares_follow_the_work(options, kernel, on_ranks):
     """Of a clump, and of points that are scattered; and no bit of the values changes."""
     points, forces = clumped()
     strengths = forces[:, : kernel.strength_size]
@@ -170,7 +170,7 @@ def test_shares_follow_the_work(options, kernel, on_ranks):  # noqa: F811
     assert (told[0][0][1] > 1.15) == (options["backend"] != "direct")
 
 
-def test_when_shares_are_equal_again(on_ranks):  # noqa: F811
+def test_when_shares_are_equal_again(on_ranks):
     """Where there are other numbers of targets; not where points are only set again."""
     points, forces = clumped()
 
@@ -198,7 +198,7 @@ def test_when_shares_are_equal_again(on_ranks):  # noqa: F811
     assert first[3] == 1499
 
 
-def test_fewer_targets_than_ranks(on_ranks):  # noqa: F811
+def test_fewer_targets_than_ranks(on_ranks):
     """The ranks without any fill expansions too."""
     points, forces = clumped()
     for options in TREECODES.values():
@@ -213,7 +213,7 @@ def test_fewer_targets_than_ranks(on_ranks):  # noqa: F811
             assert on_ranks(5, same) == [[True] * 3] * 5
 
 
-def test_a_sum_that_does_not_know_of_ranks(on_ranks, monkeypatch):  # noqa: F811
+def test_a_sum_that_does_not_know_of_ranks(on_ranks, monkeypatch):
     """It has equal shares, each with the outermost targets: all choose by the same box."""
     monkeypatch.setattr(registry, "_methods", dict(registry._methods))
     tc.methods.register(Grid())

@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-
 _PATIENCE = 120.0  # seconds: another rank may compile
 
 

@@ -45,7 +45,7 @@ class OneRank:
     rank, size : int
         The number of this process, from 0 on, and how many there are.
     received : int
-        Bytes that `gather` has brought from others so far.
+        Bytes that arrays have brought from others so far.
     """
 
     rank, size, received = 0, 1, 0
@@ -164,6 +164,7 @@ class Ranks(OneRank):
         self.exchange(None)  # hears of errors
         total = np.empty_like(numbers)
         self._comm.Allreduce(np.ascontiguousarray(numbers), total)
+        self.received += total.nbytes
         return total
 
     def deliver(self, pieces: list[np.ndarray]) -> list[np.ndarray]:
@@ -176,10 +177,11 @@ class Ranks(OneRank):
         """Begin to `deliver`, where each rank knows how many rows it gets from whom."""
         self.exchange(None)  # hears of errors
         given = np.concatenate(pieces)
-        one = max(1, int(np.prod(given.shape[1:])))
+        one = math.prod(given.shape[1:])
         got = np.empty((sum(rows), *given.shape[1:]), given.dtype)
         sizes = [one * len(piece) for piece in pieces], [one * count for count in rows]
         request = self._comm.Ialltoallv((given, sizes[0]), (got, sizes[1]))
+        self.received += got.nbytes - pieces[self.rank].nbytes
 
         def arrived() -> list[np.ndarray]:
             request.Wait()

@@ -92,7 +92,7 @@ class DistributedFastMultipole(FastMultipole):
         # First keys of the pieces and the end, before they are aligned.
         fits = len(pieces) == ranks.size + 1
         self._begin = np.array(pieces, np.uint64) if fits else None
-        self.received_bytes, self._effort = 0, 0.0
+        self._received, self._effort = 0, 0.0
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -229,7 +229,7 @@ class DistributedFastMultipole(FastMultipole):
         if self._tree is None:
             self._pairs, self._effort = (0, 0), 0.0
             return np.zeros((self._target_count, self.kernel.value_size))
-        self.received_bytes = 0
+        received = self._ranks.received
         with self.seconds.stage("communication"):
             strengths = self._journeys[0].go(strengths)
         values = super().execute(strengths)
@@ -240,7 +240,7 @@ class DistributedFastMultipole(FastMultipole):
         self._pairs = near, far
         with self.seconds.stage("communication", more=True):
             out = self._journeys[-1].back(values)
-        self.received_bytes += strengths.nbytes + out.nbytes
+        self._received = self._ranks.received - received
         return out
 
     def _weights(self, strengths: np.ndarray, threads: Threads) -> tuple[np.ndarray, float]:
@@ -253,7 +253,6 @@ class DistributedFastMultipole(FastMultipole):
         with self.seconds.stage("communication", more=True):
             given = [own.T[some] for some in others.given_points]
             ghosts = np.concatenate(self._ranks.post(given, others.got_points)())
-        self.received_bytes += ghosts.nbytes
         return np.concatenate([own, ghosts.T], axis=1), unit
 
     def _send(self, multipole: Expansions) -> Callable[[], None]:
@@ -267,7 +266,6 @@ class DistributedFastMultipole(FastMultipole):
         def unpack() -> None:
             with self.seconds.stage("communication", more=True):
                 for boxes, numbers in zip(self._others.got_boxes, arrive(), strict=True):
-                    self.received_bytes += numbers.nbytes
                     self._unpack(multipole, boxes, numbers)
 
         own = self._others.expands[self._lists.proxy_boxes]
@@ -317,7 +315,7 @@ class DistributedFastMultipole(FastMultipole):
     def info(self) -> dict[str, Any]:
         """Return that of a sum, with pairs of all ranks, and cubes and bytes of this one."""
         own = super().info()
-        return {**own, "ranks": self._ranks.size, "received_bytes": self.received_bytes}
+        return {**own, "ranks": self._ranks.size, "received_bytes": self._received}
 
 
 def _sorted(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

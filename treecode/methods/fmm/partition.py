@@ -34,8 +34,8 @@ def aligned(
 ) -> np.ndarray:
     """Return the beginnings moved down to the next ones of cubes that a tree would not split.
 
-    They are cubes with twice `leaf_size` points at most, or with none before the beginning: the
-    cubes that two ranks have points in are then all split, by any rule.
+    They are cubes with twice `leaf_size` points at most, and larger ones as long as no points lie
+    between: the cubes that two ranks have points in are then all split, by any rule.
 
     Parameters
     ----------
@@ -45,17 +45,19 @@ def aligned(
         Sorted keys of the sources and of the targets; of the points if they are the same.
     leaf_size : int
     """
-    inner = begin[1:-1]
     sizes = np.array([length(level) for level in range(LEVELS + 1)])[:, None]
+    inner = begin[1:-1]
     starts = inner // sizes * sizes
-    counts = []
-    for keys in kinds:
-        first = np.searchsorted(keys, starts)
-        counts += [
-            np.searchsorted(keys, starts + sizes) - first,
-            np.searchsorted(keys, inner) - first,
-        ]
-    total = ranks.add_up(np.stack(counts))
-    fits = (total[::2].max(axis=0) <= 2 * leaf_size) | (total[1::2].sum(axis=0) == 0)
-    level = fits.argmax(axis=0)
-    return np.concatenate([begin[:1], starts[level, np.arange(len(inner))], begin[-1:]])
+    counts = [np.searchsorted(k, starts + sizes) - np.searchsorted(k, starts) for k in kinds]
+    small = ranks.add_up(np.stack(counts)).max(axis=0) <= 2 * leaf_size
+    small[-1] = True  # no smaller cubes are told apart
+    inner = _first(starts, small)
+    starts = inner // sizes * sizes
+    before = [np.searchsorted(k, inner) - np.searchsorted(k, starts) for k in kinds]
+    inner = _first(starts, ranks.add_up(np.sum(before, axis=0)) == 0)
+    return np.concatenate([begin[:1], inner, begin[-1:]])
+
+
+def _first(starts: np.ndarray, fits: np.ndarray) -> np.ndarray:
+    """Return for each column the start at the first level that fits."""
+    return starts[fits.argmax(axis=0), np.arange(starts.shape[1])]
