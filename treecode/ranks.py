@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import wraps
+from threading import Lock
 from types import TracebackType
 from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, runtime_checkable
 
@@ -35,6 +36,35 @@ _LAUNCHED = "PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK"
 _SIZES = "PMI_SIZE", "OMPI_COMM_WORLD_SIZE", "SLURM_STEP_NUM_TASKS"
 _TOLD = "told_by_rank"  # attribute of an error that all ranks know of: the rank that it comes from
 _BLOCKS = 64  # of an array, whose sums tell it from another
+
+
+class Delivery:
+    """Rows that are on their way.
+
+    Parameters
+    ----------
+    rows : ndarray
+        Where they arrive.
+    request : mpi4py.MPI.Request or None
+    """
+
+    def __init__(self, rows: np.ndarray, request: Any) -> None:
+        self._rows, self._request, self._looking = rows, request, Lock()
+
+    def look(self) -> None:
+        """Let messages go on: MPI moves them while it is called. Any thread may, now and then."""
+        if self._request and self._looking.acquire(blocking=False):
+            self._request.Test()
+            self._looking.release()
+
+    def rows(self) -> np.ndarray:
+        """Wait for the rows, and return them."""
+        if self._request:
+            self._request.Wait()
+        return self._rows
+
+
+NOTHING = Delivery(np.empty(0), None)
 
 
 class OneRank:
@@ -77,16 +107,13 @@ class OneRank:
         """Return the sum over all ranks of an array."""
         return numbers
 
-    def deliver(self, pieces: list[np.ndarray]) -> list[np.ndarray]:
-        """Give each rank a piece, some rows of one type; return the pieces that all give."""
-        return pieces
+    def deliver(self, rows: np.ndarray, sent: list[int]) -> tuple[np.ndarray, list[int]]:
+        """Give each rank so many of the rows; return those that all give, and of whom how many."""
+        return rows, sent
 
-    def post(self, pieces: list[np.ndarray], rows: list[int]) -> Callable[[], list[np.ndarray]]:
-        """Begin to `deliver`, where each rank knows how many rows it gets from whom.
-
-        The answer is called for the pieces, and waits for them.
-        """
-        return lambda: pieces
+    def post(self, rows: np.ndarray, sent: list[int], got: list[int]) -> Delivery:
+        """Begin to `deliver`, where each rank knows how many rows it gets from whom."""
+        return Delivery(rows, None)
 
     @contextmanager
     def together(self) -> Iterator[None]:
@@ -167,27 +194,22 @@ class Ranks(OneRank):
         self.received += total.nbytes
         return total
 
-    def deliver(self, pieces: list[np.ndarray]) -> list[np.ndarray]:
-        """Give each rank a piece, some rows of one type; return the pieces that all give."""
+    def deliver(self, rows: np.ndarray, sent: list[int]) -> tuple[np.ndarray, list[int]]:
+        """Give each rank so many of the rows; return those that all give, and of whom how many."""
         self.exchange(None)  # hears of errors
-        rows = self._comm.alltoall([len(piece) for piece in pieces])
-        return self.post(pieces, rows)()
+        got = self._comm.alltoall(sent)
+        return self.post(rows, sent, got).rows(), got
 
-    def post(self, pieces: list[np.ndarray], rows: list[int]) -> Callable[[], list[np.ndarray]]:
+    def post(self, rows: np.ndarray, sent: list[int], got: list[int]) -> Delivery:
         """Begin to `deliver`, where each rank knows how many rows it gets from whom."""
         self.exchange(None)  # hears of errors
-        given = np.concatenate(pieces)
-        one = math.prod(given.shape[1:])
-        got = np.empty((sum(rows), *given.shape[1:]), given.dtype)
-        sizes = [one * len(piece) for piece in pieces], [one * count for count in rows]
-        request = self._comm.Ialltoallv((given, sizes[0]), (got, sizes[1]))
-        self.received += got.nbytes - pieces[self.rank].nbytes
-
-        def arrived() -> list[np.ndarray]:
-            request.Wait()
-            return np.split(got, np.cumsum(rows)[:-1])
-
-        return arrived
+        one = math.prod(rows.shape[1:])
+        arrive = np.empty((sum(got), *rows.shape[1:]), rows.dtype)
+        sizes = [one * count for count in sent], [one * count for count in got]
+        given = np.ascontiguousarray(rows), sizes[0]
+        request = self._comm.Ialltoallv(given, (arrive, sizes[1]))
+        self.received += (sum(sizes[1]) - sizes[1][self.rank]) * rows.itemsize
+        return Delivery(arrive, request)
 
     @contextmanager
     def together(self) -> Iterator[None]:

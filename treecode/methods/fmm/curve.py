@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,6 @@ from treecode._jit import compiled
 from treecode.methods.fmm.octree import Box, root_corner
 from treecode.ranks import OneRank
 from treecode.threads import Threads
-from treecode.tree import octant_of
 
 LEVELS = 21  # of cubes that the curve tells apart: three bits each of a key
 END = np.uint64(1 << 3 * LEVELS)
@@ -48,20 +48,23 @@ def keys_of(points: np.ndarray, box: Box, width: float, threads: Threads) -> np.
 
 @compiled
 def _keys(points, corner, width, levels, keys):
-    """Write where the points lie, by the comparisons with which a tree sorts them."""
-    middle, cell = np.empty(3), np.empty(3, np.int64)
+    """Write where the points lie: a plane between two cubes belongs to the lower one.
+
+    So a tree sorts them, and as its centres, planes are exact.
+    """
+    side, last = width * 0.5**levels, (1 << levels) - 1
     for i in range(len(keys)):
-        key, side = 0, width
+        key = 0
         for d in range(3):
-            cell[d] = 0
-        for _ in range(levels):
-            for d in range(3):
-                middle[d] = corner[d] + (cell[d] + 0.5) * side
-            octant = octant_of(points, i, middle)
-            key = 8 * key + octant
-            for d in range(3):
-                cell[d] = 2 * cell[d] + (octant >> d & 1)
-            side *= 0.5
+            x, low = points[d, i], corner[d]
+            cell = min(max(math.ceil((x - low) / side) - 1, 0), last)
+            if cell > 0 and x <= low + cell * side:
+                cell -= 1
+            elif cell < last and x > low + (cell + 1) * side:
+                cell += 1
+            for shift, mask in _MASKS:
+                cell = (cell | cell << shift) & mask
+            key |= cell << d
         keys[i] = key << 3 * (LEVELS - levels)
 
 

@@ -24,12 +24,13 @@ from treecode.methods.fmm.octree import Box, build_octree, root_widths
 from treecode.methods.fmm.partition import aligned, divide
 from treecode.methods.fmm.sizing import choose_width, expansion_size, sampling_interval
 from treecode.methods.fmm.summation import FastMultipole
-from treecode.ranks import OneRank
+from treecode.ranks import Delivery, OneRank
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
 
-_BALANCE = 1.1  # most work of a rank, relative to the mean
+_BALANCE = 1.1  # most work of a rank, relative to the mean, with which pieces are kept,
+_FIRST = 1.02  # and with which they are taken at first
 _TRIES = 3  # partitions
 
 
@@ -39,36 +40,40 @@ class Journey(NamedTuple):
     Attributes
     ----------
     order : (n,) int64
-        Own rows along the curve.
+        Own rows by rank,
+    place : (n,) int64
+        and where each of them is then.
     sent, got : lists of int
         Rows for and of each rank.
     """
 
     ranks: OneRank
     order: np.ndarray
+    place: np.ndarray
     sent: list[int]
     got: list[int]
 
     @classmethod
-    def plan(cls, pieces: Pieces, order: np.ndarray, keys: np.ndarray, ranks: OneRank) -> Journey:
-        """Return the journey of points with some order and keys along the curve, (n,) uint64."""
-        cuts = np.searchsorted(keys, pieces.begin)
-        sent = np.diff(cuts).tolist()
-        got = ranks.deliver([np.array([count]) for count in sent])
-        return cls(ranks, order, sent, [int(count[0]) for count in got])
+    def plan(cls, pieces: Pieces, keys: np.ndarray, ranks: OneRank) -> Journey:
+        """Return the journey of points with some keys, (n,) uint64."""
+        owner = np.zeros(len(keys), np.min_scalar_type(ranks.size))
+        for begin in pieces.begin[1:-1]:
+            owner += keys >= begin
+        order = np.argsort(owner, kind="stable")
+        place = np.empty_like(order)
+        place[order] = np.arange(len(order))
+        sent = np.bincount(owner, minlength=ranks.size).tolist()
+        _, got = ranks.deliver(np.empty((len(keys), 0)), sent)
+        return cls(ranks, order, place, sent, got)
 
     def go(self, rows: np.ndarray) -> np.ndarray:
         """Return the rows that others and this rank send here, (n, columns) of each."""
-        pieces = np.split(rows[self.order], np.cumsum(self.sent)[:-1])
-        return np.concatenate(self.ranks.post(pieces, self.got)())
+        return self.ranks.post(np.take(rows, self.order, axis=0), self.sent, self.got).rows()
 
     def back(self, rows: np.ndarray) -> np.ndarray:
         """Return rows of own points, from rows in the order in which `go` returned them."""
-        pieces = np.split(rows, np.cumsum(self.got)[:-1])
-        arrived = np.concatenate(self.ranks.post(pieces, self.sent)())
-        out = np.empty_like(arrived)
-        out[self.order] = arrived
-        return out
+        arrived = self.ranks.post(rows, self.got, self.sent).rows()
+        return np.take(arrived, self.place, axis=0)
 
 
 class DistributedFastMultipole(FastMultipole):
@@ -116,25 +121,24 @@ class DistributedFastMultipole(FastMultipole):
                 box = self._box(given)
                 self._choose_common_width(box, given, int(counts.sum()), threads)
                 find = partial(keys_of, box=box, width=self.width, threads=threads)
-                orders, keys = zip(*(_sorted(find(points)) for points in given), strict=True)
+                keys = [find(points) for points in given]
+                along = tuple(map(np.sort, keys))
+                bound = _FIRST if self._begin is None else _BALANCE
                 if self._begin is None:
-                    all_keys = keys[0] if len(keys) == 1 else np.sort(np.concatenate(keys))
-                    self._begin = divide(self._ranks, all_keys, np.ones(len(all_keys)))
+                    everywhere = np.sort(np.concatenate(keys))
+                    self._begin = divide(self._ranks, everywhere, np.ones(len(everywhere)))
             leaf_size = int(counts.sum()) if counts.sum() <= self._direct else self.leaf_size
             for attempt in range(_TRIES):
                 with self.seconds.stage("partition", more=True):
-                    begin = aligned(self._ranks, self._begin, keys, leaf_size)
+                    begin = aligned(self._ranks, self._begin, along, leaf_size)
                     pieces = Pieces(self._ranks, box, begin)
-                    self._journeys = [
-                        Journey.plan(pieces, *sorted_, self._ranks)
-                        for sorted_ in zip(orders, keys, strict=True)
-                    ]
+                    self._journeys = [Journey.plan(pieces, some, self._ranks) for some in keys]
                     own = [
                         np.ascontiguousarray(journey.go(points.T).T)
                         for journey, points in zip(self._journeys, given, strict=True)
                     ]
                 self._build(pieces, own, leaf_size, threads)
-                if attempt + 1 == _TRIES or self._is_balanced():
+                if attempt + 1 == _TRIES or self._is_balanced(bound):
                     break
                 with self.seconds.stage("partition", more=True):
                     self._begin = divide(self._ranks, *self._work_on_curve(find))
@@ -202,9 +206,9 @@ class DistributedFastMultipole(FastMultipole):
         cubes = np.count_nonzero(self._lists.has_targets)
         return pairs + self._cube_cost * cubes / max(1, len(pairs))
 
-    def _is_balanced(self) -> bool:
+    def _is_balanced(self, bound: float) -> bool:
         work = self._ranks.exchange(float(self._leaf_work.sum()))
-        return max(work) <= _BALANCE * sum(work) / len(work)
+        return max(work) <= bound * sum(work) / len(work)
 
     def _work_on_curve(
         self, find: Callable[[np.ndarray], np.ndarray]
@@ -213,8 +217,9 @@ class DistributedFastMultipole(FastMultipole):
         assert self._tree is not None
         number = np.diff(self._tree.target[self._lists.target_leaves])[:, 0]
         work = np.repeat(self._leaf_work / number, number)
-        order, keys = _sorted(find(self.targets))
-        return keys, work[order]
+        keys = find(self.targets)
+        order = np.argsort(keys, kind="stable")
+        return keys[order], work[order]
 
     def _serve(self) -> None:
         """Get the operators for the levels of all ranks."""
@@ -251,33 +256,31 @@ class DistributedFastMultipole(FastMultipole):
         unit = max(self._ranks.exchange(self._power_of_two(_largest(own))))
         own /= unit
         with self.seconds.stage("communication", more=True):
-            given = [own.T[some] for some in others.given_points]
-            ghosts = np.concatenate(self._ranks.post(given, others.got_points)())
+            given = np.take(own, others.given_points, axis=1).T
+            ghosts = self._ranks.post(given, others.sent_points, others.got_points).rows()
         return np.concatenate([own, ghosts.T], axis=1), unit
 
-    def _send(self, multipole: Expansions) -> Callable[[], None]:
-        """Begin to exchange expansions near pieces, and to add up those of shared cubes."""
+    def _send(self, multipole: Expansions) -> Delivery:
+        """Begin to exchange expansions near pieces, and add up those of shared cubes."""
+        others = self._others
         with self.seconds.stage("communication", more=True):
-            self._add_up_shared(multipole)
-            given = [self._packed(multipole, boxes) for boxes in self._others.given_boxes]
-            sizes = [self._size(multipole, boxes) for boxes in self._others.got_boxes]
-            arrive = self._ranks.post(given, sizes)
+            self._unpack(
+                multipole, others.shared, self._ranks.add_up(self._packed(multipole, others.shared))
+            )
+            given = [self._packed(multipole, boxes) for boxes in others.given_boxes]
+            sent, got = map(len, given), (self._size(multipole, b) for b in others.got_boxes)
+            delivery = self._ranks.post(np.concatenate(given), list(sent), list(got))
+        if not others.expands[self._lists.proxy_boxes].all():
+            self._receive(multipole, delivery)  # the near field needs those of others, as points
+        return delivery
 
-        def unpack() -> None:
-            with self.seconds.stage("communication", more=True):
-                for boxes, numbers in zip(self._others.got_boxes, arrive(), strict=True):
-                    self._unpack(multipole, boxes, numbers)
-
-        own = self._others.expands[self._lists.proxy_boxes]
-        if own.all():
-            return unpack
-        unpack()  # the near field needs expansions of others, as points
-        return super()._send(multipole)
-
-    def _add_up_shared(self, multipole: Expansions) -> None:
-        boxes = self._others.shared
-        total = self._ranks.add_up(self._packed(multipole, boxes))
-        self._unpack(multipole, boxes, total)
+    def _receive(self, multipole: Expansions, delivery: Delivery) -> None:
+        """Put the expansions of others in their places."""
+        with self.seconds.stage("communication", more=True):
+            rows, stop = delivery.rows(), 0
+            for some in self._others.got_boxes:
+                start, stop = stop, stop + self._size(multipole, some)
+                self._unpack(multipole, some, rows[start:stop])
 
     def _rows(
         self, multipole: Expansions, boxes: np.ndarray
@@ -316,12 +319,6 @@ class DistributedFastMultipole(FastMultipole):
         """Return that of a sum, with pairs of all ranks, and cubes and bytes of this one."""
         own = super().info()
         return {**own, "ranks": self._ranks.size, "received_bytes": self._received}
-
-
-def _sorted(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the order of keys, and themselves in order."""
-    order = np.argsort(keys, kind="stable")
-    return order, keys[order]
 
 
 def _largest(weights: np.ndarray) -> float:

@@ -35,10 +35,10 @@ class Essential(NamedTuple):
         Cubes of which each rank has a part of the expansion.
     given_boxes, got_boxes : lists of int64 arrays
         Cubes for and of each rank.
-    given_points : list of int64 arrays
-        Own sources, in tree order, for each rank.
-    got_points : list of int
-        Number of sources of each rank.
+    given_points : int64 array
+        Own sources, in tree order, for one rank after the other,
+    sent_points, got_points : lists of int
+        so many for each, and so many of each.
     points : (3, G) float64
         These sources.
     """
@@ -48,7 +48,8 @@ class Essential(NamedTuple):
     shared: np.ndarray
     given_boxes: list[np.ndarray]
     got_boxes: list[np.ndarray]
-    given_points: list[np.ndarray]
+    given_points: np.ndarray
+    sent_points: list[int]
     got_points: list[int]
     points: np.ndarray
 
@@ -85,13 +86,13 @@ def essential(tree: Octree, sources: np.ndarray, pieces: Pieces, ranks: OneRank)
         boxes.append(given)
         points.append(_ranges(tree.source[leaves]))
         messages.append(_message(tree, given, leaves, match))
-    got = ranks.deliver(messages)
-    coordinates = ranks.deliver([sources.T[some] for some in points])
-    ghosts = np.ascontiguousarray(np.concatenate(coordinates).T)
-    merged, new = _merged(tree, alone, shared, match, got, sources.shape[1])
+    got, numbers = ranks.deliver(np.concatenate(messages), list(map(len, messages)))
+    given, sent = np.concatenate(points), list(map(len, points))
+    ghosts, got_points = ranks.deliver(np.take(sources, given, axis=1).T, sent)
+    merged, new = _merged(tree, alone, shared, match, got, numbers, sources.shape[1])
     own = len(tree.level)
     of_shared = np.where(match >= 0, match, own - 1 + np.cumsum(match < 0))
-    ends = np.cumsum([own + np.count_nonzero(match < 0), *map(len, got)])
+    ends = np.cumsum([own + np.count_nonzero(match < 0), *numbers])
     expands = np.zeros(len(merged.level), bool)
     expands[new[:own]] = count > 0
     return Essential(
@@ -100,9 +101,10 @@ def essential(tree: Octree, sources: np.ndarray, pieces: Pieces, ranks: OneRank)
         new[of_shared],
         [new[some] for some in boxes],
         [new[first:stop] for first, stop in pairwise(ends)],
-        points,
-        list(map(len, coordinates)),
-        ghosts,
+        given,
+        sent,
+        got_points,
+        np.ascontiguousarray(ghosts.T),
     )
 
 
@@ -162,19 +164,18 @@ def _merged(
     alone: np.ndarray,
     shared: Shared,
     match: np.ndarray,
-    got: list[np.ndarray],
+    others: np.ndarray,
+    numbers: list[int],
     sources: int,
 ) -> tuple[Octree, np.ndarray]:
     """Return a tree of own cubes, shared ones and those of others, and the place of each in it."""
     own, missing = len(tree.level), np.flatnonzero(match < 0)
     of_shared = match.copy()
     of_shared[missing] = own + np.arange(len(missing))
-    parents, begin = [tree.parent, of_shared[shared.parent[missing]]], own + len(missing)
-    for message in got:
-        above = message[:, _PARENT]
-        parents.append(np.where(above >= 0, begin + above, of_shared[~np.minimum(above, -1)]))
-        begin += len(message)
-    others = np.concatenate(got)
+    above = others[:, _PARENT]
+    begin = own + len(missing) + np.repeat(np.cumsum([0, *numbers[:-1]]), numbers)
+    above = np.where(above >= 0, begin + above, of_shared[~np.minimum(above, -1)])
+    parent = np.concatenate([tree.parent, of_shared[shared.parent[missing]], above])
     octants = (shared.cell[missing] & 1) @ (1 << _BITS)
     level = np.concatenate([tree.level, shared.level[missing], others[:, _LEVEL]])
     octant = np.concatenate([tree.octant, octants, others[:, _OCTANT]])
@@ -193,7 +194,7 @@ def _merged(
     target = np.concatenate([tree.target, np.zeros((len(source) - own, 2), np.int64)])
     none = np.zeros(len(missing), bool)
     leaf = np.concatenate([tree.leaf & alone, none, others[:, _LEAF] > 0])
-    return _in_levels(tree, level, np.concatenate(parents), octant, source, target, leaf)
+    return _in_levels(tree, level, parent, octant, source, target, leaf)
 
 
 def _in_levels(

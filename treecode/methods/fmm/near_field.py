@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from treecode.kernels.base import Kernel
@@ -83,8 +85,12 @@ class NearField:
         targets: np.ndarray,
         order: np.ndarray,
         values: np.ndarray,
+        meanwhile: Callable[[], None],
     ) -> None:
-        """Add neighbours point by point, and smaller cubes by their proxies (P2P, M2P)."""
+        """Add neighbours point by point, and smaller cubes by their proxies (P2P, M2P).
+
+        `meanwhile` is called now and then.
+        """
         tree, leaves, proxy_boxes = self._tree, self._lists.target_leaves, self._lists.proxy_boxes
         nodes, node_weights = self._proxies(multipole)
         slot = np.full(len(tree.level), -1)
@@ -114,6 +120,7 @@ class NearField:
                 values,
                 pairs[chunk],
             )
+            meanwhile()
 
         self._threads(sum_leaves, len(leaves), _LEAVES, progress=True)
         self.near_pairs += int(pairs.sum())

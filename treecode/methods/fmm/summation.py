@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from treecode.methods.fmm.sizing import (
     expansion_size,
     sampling_interval,
 )
+from treecode.ranks import NOTHING, Delivery
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -121,10 +122,10 @@ class FastMultipole:
             near = NearField(self.kernel, *prepared, self.sources, weights, threads)
             with self.seconds.stage("upward"):
                 multipole = far.upward(self.sources, weights)
-            arrive = self._send(multipole)
+            coming = self._send(multipole)
             with self.seconds.stage("near"):
-                near.sum_neighbours(multipole, self.targets, self.target_order, values)
-            arrive()
+                near.sum_neighbours(multipole, self.targets, self.target_order, values, coming.look)
+            self._receive(multipole, coming)
             with self.seconds.stage("translations"):
                 local = far.translate(multipole)
                 near.act_on_smaller(local)
@@ -151,9 +152,12 @@ class FastMultipole:
         """Return a power of two above the largest weight."""
         return math.ldexp(0.5, math.frexp(largest)[1])
 
-    def _send(self, multipole: Expansions) -> Callable[[], None]:
-        """Begin to exchange expansions with others; return what ends that."""
-        return lambda: None
+    def _send(self, multipole: Expansions) -> Delivery:
+        """Begin to exchange expansions with others."""
+        return NOTHING
+
+    def _receive(self, multipole: Expansions, coming: Delivery) -> None:
+        """Take the expansions of others."""
 
     @property
     def effort(self) -> float:
