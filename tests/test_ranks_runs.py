@@ -192,7 +192,7 @@ class Helper:
         return sum(self.ranks.exchange(number))
 
 
-def test_rank_0_leads(on_ranks):  # noqa: F811
+def test_rank_0_leads(on_ranks):
     """What it calls is called by all; its errors are those of all, unless it catches them."""
 
     def led(comm):

@@ -110,18 +110,14 @@ class SharedSum:
     """
 
     def __init__(self, choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool) -> None:
-        self._method = registry.get(choice.backend)
-        self._kernel, self._ranks, self._progress = kernel, ranks, progress
-        self._make(self._method.complete(choice.parameters))
+        self._ranks = ranks
+        self._own = choice.sum(kernel, progress)
+        if isinstance(self._own, Shared):
+            self._own.ranks = ranks
         self._shared = Seconds()
         self._pairs: tuple[int | None, int | None] = None, None
         self._received: int | None = None
         self._cuts, self._work = ranks.cuts(0), [0.0] * ranks.size
-
-    def _make(self, parameters: Mapping[str, Any]) -> None:
-        self._own = self._method.make(self._kernel, parameters, self._progress)
-        if isinstance(self._own, Shared):
-            self._own.ranks = self._ranks
 
     @property
     def effort(self) -> float:
@@ -141,19 +137,15 @@ class SharedSum:
     def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
         """Take points, (3, N) and (3, M): a share of the targets, and all sources.
 
-        What is chosen by the points is chosen by all of them. Where the sum does not know of ranks,
-        the outermost targets are in each share, so that no box around points differs.
+        Where the sum does not know of ranks, the outermost targets are in each share, so that no
+        box around points differs.
         """
         self._shared, self._pairs, self._received = Seconds(), (None, None), None
         with self._shared.stage("sharing"):
-            before = self._own.parameters
-            fitted = self._method.fitted(self._kernel, before, sources, targets)
             everywhere = sources if targets is None else targets
             count = everywhere.shape[1]
-            parameters, self._cuts = self._ranks.first((fitted, self._next_cuts(count)))
+            self._cuts = self._ranks.first(self._next_cuts(count))
             self._work = [0.0] * self._ranks.size
-            if parameters != before:
-                self._make(parameters)
             self._order = along_curve(everywhere) if count else np.arange(0)
             begin, end = self._cuts[self._ranks.rank : self._ranks.rank + 2]
             own = self._order[begin:end]

@@ -222,20 +222,6 @@ class Method:
         """
         return ()
 
-    def fitted(
-        self,
-        kernel: Kernel,
-        parameters: Mapping[str, Any],
-        sources: np.ndarray,
-        targets: np.ndarray | None,
-    ) -> Mapping[str, Any]:
-        """Return `parameters` of a sum with those chosen that depend on points; none by default.
-
-        Ranks that share the targets, (3, M), take what is chosen here by all of them. What a sum
-        chooses besides must depend on the sources, (3, N), and on the box around all points alone.
-        """
-        return parameters
-
     def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Sum:
         """Return a sum without points.
 

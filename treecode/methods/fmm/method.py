@@ -48,20 +48,6 @@ class FastMultipoleMethod(Method):
         """Tell whether no degree is given, beside which `tol` is only aimed at."""
         return "degree" not in given
 
-    def fitted(
-        self,
-        kernel: Kernel,
-        parameters: Mapping[str, Any],
-        sources: np.ndarray,
-        targets: np.ndarray | None,
-    ) -> Mapping[str, Any]:
-        """Return the parameters with the side of the root around all points."""
-        if not sources.size or (targets is not None and not targets.size):
-            return parameters
-        sum_ = FastMultipole(kernel, parameters, False)
-        sum_.work(sources, targets)
-        return sum_.parameters
-
     def make(
         self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False
     ) -> FastMultipole:
