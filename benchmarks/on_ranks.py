@@ -22,6 +22,7 @@ from benchmarks.sums import FEW, TURNS, Sum, repeat
 from treecode.methods.fmm.level import CLASSES
 from treecode.ranks import ranks_of, world
 
+_TURNS = 7  # at most, of some ranks and all
 _PAUSE = 0.001  # seconds between looks at a message, by a rank that shall not keep a core busy
 _SHORT, _LONG = 8, 1 << 24  # bytes of a message
 _MESSAGES = {_SHORT: 1000, _LONG: 30}  # that go there and back
@@ -80,7 +81,7 @@ def in_turns(comm: Any, fewer: int = 1, weak: bool = False, **case: Any) -> Row:
 
     turn()  # samples its error, and no rank compiles while another one is timed
     notes.clear()
-    one, two = repeat(turn, TURNS).T
+    one, two = repeat(turn, TURNS, _TURNS).T
     shared.collect()
     if alone is None or comm.rank:
         return {}
