@@ -17,28 +17,26 @@ NODES = (1, 4, 16, 64, 256, 1024, 10_000)
 POINTS = (10**6, 10**7, 10**8, 10**9)  # of all nodes
 EACH = (10**5, 10**6)  # of a node
 MODELS: dict[str, Model] = {
-    "replicated": parallel_model.replicated,
-    "expansions gathered": parallel_model.gathered,
+    "replicated": parallel_model.sliced,
     "distributed": parallel_model.distributed,
     "distributed, hierarchical": parallel_model.hierarchical,
 }
-COLORS = dict(zip(MODELS, ("#000000", "#E69F00", "#0072B2", "#009E73"), strict=True))
-TREECODE_MODELS = dict(list(MODELS.items())[:2])
+COLORS = dict(zip(MODELS, ("#000000", "#0072B2", "#009E73"), strict=True))
+TREECODE_MODELS: dict[str, Model] = {"replicated": parallel_model.gathered}
 
 _PAPERS = """
 Printed: seconds of the papers, by cores of one node (K) or processes (T). Measured: ranks here. The
 model goes on to more ranks from the rates that are measured on one, and from messages within one
 memory ({latency:.2g} us and {bandwidth:.2g} GB/s, a message of 8 bytes and of 16 MiB there and
 back). It takes every further core to be as fast as one by itself: caches, memory and clock rates
-that cores share are not in it. "Replicated" has the upward pass on every rank. With "expansions
-gathered" a rank expands its own clusters. In T table 6 each process has as many points: rates are
-linear in the logarithm of N, through the two sums that are measured.
+that cores share are not in it. A rank expands its own clusters. In T table 6 each process has as
+many points: rates are linear in the logarithm of N, through the two sums that are measured.
 """
 
 _MODEL = """
 Microseconds of one core for a point, measured on one rank. Tree: checks, sorting, lists. Sharing:
-what `set_points` takes more on two ranks. Upward: weights and expansions. Rest: what is done for
-each target, which ranks share.
+what `set_points` takes more on two ranks, for all points, of `fmm` for own ones. Upward: weights
+and expansions. Rest: what is done for each target, which ranks share.
 """
 
 _FORECAST = """
@@ -47,9 +45,8 @@ like the one here, threads with an efficiency of {efficiency:.0%}, one rank a no
 {latency:.2g} us and {bandwidth:.3g} GB/s a node, points that are even in space, and the same work
 for all nodes. {sum}
 
-* *Replicated*: every node has all points and fills all expansions. {value_bytes:g} bytes of values
-  are gathered for each point.
-* *Expansions gathered*: every node expands its own clusters.
+* *Replicated*: every node has all points, and gives a slice of them to the distributed sum.
+  {value_bytes:g} bytes of values are gathered for each point.
 * *Distributed*: a node has its own points, and is told ghosts and expansions around them. Exchanges
   are between all nodes. Cubes that a cut of the curve divides are summed over all nodes in one
   message: at each level as many as there are cuts, or all.
@@ -160,8 +157,10 @@ class _Column:
     def points(self, ranks: int) -> int:
         return self.first.points * (ranks if self.weak else 1)
 
-    def model(self, model: Model, ranks: int, machine: Machine) -> float:
+    def model(self, ranks: int, machine: Machine) -> float:
         """Return the seconds of the model."""
+        direct = self.row["backend"] == DIRECT
+        model = parallel_model.replicated if direct else parallel_model.gathered
         n = self.points(ranks)
         measured = parallel_model.at(self.first, self.second, n) if self.weak else self.first
         return model(measured, n, ranks, machine).seconds
@@ -194,8 +193,7 @@ def _columns(rows: list[Row]) -> Iterator[_Column]:
 def _papers(rows: list[Row], machine: Machine) -> Iterator[str]:
     header = (
         "table,backend,ranks,N,printed (s),printed: efficiency (%),measured (s),"
-        "measured: efficiency (%),model (s),model: efficiency (%),"
-        "model with expansions gathered (s),the same: efficiency (%)"
+        "measured: efficiency (%),model (s),model: efficiency (%)"
     )
     lines = (line for column in _columns(rows) for line in _paper(column, machine))
     return markdown.table(header.split(","), lines)
@@ -205,7 +203,6 @@ def _paper(column: _Column, machine: Machine) -> Iterator[list[str]]:
     """Yield a line for each number of ranks in a column."""
     backend = column.row["backend"]
     theirs, ours = column.table.of(backend), column.measured()
-    models = list(TREECODE_MODELS.values())[: 1 if backend == DIRECT else 2]
     about = "~" if column.row["extrapolated"] else ""
     for ranks in theirs:
         cells = [tables.figure(theirs[ranks])]
@@ -215,11 +212,8 @@ def _paper(column: _Column, machine: Machine) -> Iterator[list[str]]:
             cells += [about + tables.figure(ours[ranks]), percent(measured)]
         else:
             cells += ["", ""]
-        for model in models:
-            one, seconds = (column.model(model, r, machine) for r in (1, ranks))
-            cells.append(tables.figure(seconds))
-            cells.append(percent(column.efficiency(one, seconds, ranks)))
-        cells += ["", ""] * (2 - len(models))
+        one, seconds = (column.model(r, machine) for r in (1, ranks))
+        cells += [tables.figure(seconds), percent(column.efficiency(one, seconds, ranks))]
         yield [column.table.name, backend, str(ranks), f"{column.points(ranks):,}", *cells]
 
 
@@ -279,7 +273,7 @@ def plot_papers(axes: Any, rows: list[Row], messages: Row) -> None:
     for style, column in enumerate(columns):
         backend, name = column.row["backend"], column.table.name
         theirs = column.table.of(backend)
-        model = {r: column.model(parallel_model.replicated, r, machine) for r in theirs}
+        model = {r: column.model(r, machine) for r in theirs}
         look = {"color": plots.COLORS[backend], "linestyle": plots.DASHES[style]}
         for seconds, label, marker in ((theirs, "printed", plots.PAPERS), (model, "model", {})):
             parts = [100 * column.efficiency(seconds[1], seconds[r], r) for r in theirs]
@@ -290,7 +284,7 @@ def plot_papers(axes: Any, rows: list[Row], messages: Row) -> None:
     axes.set(xscale="log", xlabel="cores, processes or ranks", ylabel="efficiency (%)")
     axes.set_xticks([1, 2, 4, 8, 16, 32], ["1", "2", "4", "8", "16", "32"])
     axes.set_xticks([], minor=True)
-    axes.set_title("the papers' tables, and the model (replicated)", fontsize="medium")
+    axes.set_title("the papers' tables, and the model", fontsize="medium")
     axes.set(ylim=(0, 110))
 
 

@@ -1,8 +1,8 @@
 """The seconds of a sum that nodes share: a model, with rates that were measured.
 
-A node is one rank of MPI whose threads share its part. The model has three ways to share a sum,
-`replicated`, `gathered` and `distributed`. All nodes have as much to do as each other, and no
-message is sent while anything is computed.
+A node is one rank of MPI whose threads share its part. A treecode is `gathered`, a direct sum
+`replicated`, `fmm` is `distributed`, or `sliced` where all nodes know all points. All nodes have as
+much to do as each other, and no message is sent while anything is computed.
 """
 
 from __future__ import annotations
@@ -11,12 +11,16 @@ import math
 from collections.abc import Callable
 from dataclasses import astuple, dataclass
 
+from benchmarks.methods import FMM
 from benchmarks.rows import Row
 
 POSITION_BYTES = 24  # of a point
 _FIRST_LEVEL = 2  # the coarsest level whose cubes have expansions
 _ROUNDS = 16  # small messages to all: eight exchanges of `treecode.ranks`, of two messages each
-_EXCHANGES = 6  # positions, strengths and values to and from owners; ghosts twice; expansions
+# Of a distributed sum, counted: 33 exchanges, a third of which a second message follows.
+_SPREAD_ROUNDS = 45
+# Positions, strengths and values to and from owners; ghosts twice; expansions; four with counts.
+_EXCHANGES = 10
 _HALO_EXCHANGES = 3  # without the first three
 _NEIGHBOURS = 26  # of a part of space
 _GHOSTS, _LISTS = 1, 2  # leaves that touch; cubes that touch the parent: so many cubes away
@@ -79,7 +83,8 @@ class Rates:
     tree : float
         Checking and sorting the points, and who acts on whom.
     sharing : float
-        What more is done where there are other ranks: shares along a curve, targets sorted apart.
+        What more is done where there are other ranks: of all points shares along a curve, and
+        targets sorted apart; of own points of `fmm` the way to their owners.
     upward : float
         Weights, and expansions of all clusters.
     rest : float
@@ -125,12 +130,13 @@ class Measured:
     def of(cls, row: Row) -> Measured:
         """Return the sum of a row of `on_ranks.in_turns`, on its fewer ranks."""
         n = row["n1"]
+        set_on_each = row["n"] / (row["ranks"] if row["backend"] == FMM else 1)
         tree, upward = row["tree"] / n, row["upward"] / n
         return cls(
             points=n,
             rates=Rates(
                 tree=tree,
-                sharing=max(0.0, row["tree2"] / row["n"] - tree),
+                sharing=max(0.0, row["tree2"] / set_on_each - tree),
                 upward=upward,
                 rest=row["seconds"] / n - tree - upward,
             ),
@@ -217,15 +223,26 @@ def distributed(measured: Measured, points: float, nodes: int, machine: Machine)
     messages = moved + ghosts * (POSITION_BYTES + measured.weight_bytes) + halo
     return Cost(
         computing / machine.speed,
-        (_ROUNDS + 2) * network.gather(nodes)
+        _SPREAD_ROUNDS * network.gather(nodes)
         + _EXCHANGES * network.exchange(nodes - 1, 0.0)
         + network.exchange(0, messages + summed),
         messages + summed,
     )
 
 
+def sliced(measured: Measured, points: float, nodes: int, machine: Machine) -> Cost:
+    """The same, where all nodes know all points: each gives a slice, and gets all values."""
+    cost = distributed(measured, points, nodes, machine)
+    received = points * measured.value_bytes * (1.0 - 1.0 / nodes)
+    return Cost(
+        cost.computing,
+        cost.communication + machine.network.gather(nodes, received),
+        cost.received + received,
+    )
+
+
 def hierarchical(measured: Measured, points: float, nodes: int, machine: Machine) -> Cost:
-    """The same, if the points are with their owners already and messages go to neighbours alone.
+    """A distributed sum of points that are with their owners, with messages to neighbours alone.
 
     The expansion of a cube that is divided is then summed by the nodes that have a part of it.
     """
@@ -238,7 +255,7 @@ def hierarchical(measured: Measured, points: float, nodes: int, machine: Machine
     received += (halo + summed) * measured.box_bytes
     return Cost(
         computing / machine.speed,
-        (_ROUNDS + 2) * network.gather(nodes)
+        _SPREAD_ROUNDS * network.gather(nodes)
         + _HALO_EXCHANGES * network.exchange(min(_NEIGHBOURS, nodes - 1), 0.0)
         + network.exchange(0, received),
         received,

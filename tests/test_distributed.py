@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
+from tests.test_ranks import by_mpi, mpirun
 from treecode.methods.fmm import curve
 from treecode.methods.fmm.curve import Pieces, cells_of, first_keys, keys_of
 from treecode.methods.fmm.octree import Box, build_octree
@@ -366,3 +367,31 @@ def test_one_rank_by_itself():
     plan = tc.Plan(KERNEL, "fmm", tol=1e-3, distributed=True).set_points(points)
     wanted = tc.evaluate(KERNEL, points, strengths, backend="fmm", tol=1e-3)
     assert np.array_equal(plan.execute(strengths), wanted)
+
+
+# --- ranks that are processes --------------------------------------------------------------------
+
+PROCESSES = """
+kernel = tc.RegularizedStokeslet(1e-3)
+points, strengths = rng.random((2, 4000, 3))
+own = slice(comm.rank * 300, None if comm.rank == comm.size - 1 else (comm.rank + 1) * 300)
+plan = tc.Plan(kernel, "fmm", tol=1e-3, leaf_size=20, comm=comm, distributed=True)
+for _ in range(2):
+    values = plan.set_points(points[own]).execute(strengths[own])
+exact = tc.evaluate(kernel, points, strengths, backend="direct")
+assert tc.relative_error(np.concatenate(comm.allgather(values)), exact) < 1e-3
+assert plan.estimate_error(strengths[own]) < 1e-3
+try:
+    plan.execute(strengths[own][: 10 + comm.rank] if comm.rank == 1 else strengths[own])
+except ValueError as error:
+    told = comm.allgather(str(error))
+show(len(set(told)), told[0].split(",")[0])
+"""
+
+
+@by_mpi
+@pytest.mark.parametrize("ranks", [2, 4])
+def test_values_and_errors_of_processes(ranks, tmp_path):
+    """With MPI's own messages; an error of one rank is that of all."""
+    rows = 3700 if ranks == 2 else 300
+    assert mpirun(ranks, PROCESSES, tmp_path) == f"1 strengths must have shape ({rows}\n"

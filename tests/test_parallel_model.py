@@ -12,7 +12,13 @@ from benchmarks.methods import DIRECT
 from benchmarks.on_ranks import on_ranks
 from benchmarks.parallel_model import Machine, Measured, Network, Rates
 
-MODELS = (model.replicated, model.gathered, model.distributed, model.hierarchical)
+MODELS = (
+    model.replicated,
+    model.gathered,
+    model.distributed,
+    model.sliced,
+    model.hierarchical,
+)
 MEASURED = Measured(
     points=1000,
     rates=Rates(tree=0.125, sharing=0.25, upward=0.5, rest=4.0),
@@ -79,13 +85,17 @@ def test_distributed_points_by_hand():
     received = moved + ghosts * 48 + 100 * halo + 2 * 7 / 8 * 100 * divided
     assert cost.computing == pytest.approx(computing / 2)
     assert cost.received == pytest.approx(received)
-    assert cost.communication == pytest.approx((18 * 3 + 6 * 7) * 0.001 + received / 100)
+    assert cost.communication == pytest.approx((45 * 3 + 10 * 7) * 0.001 + received / 100)
+
+    also = model.sliced(MEASURED, 4096.0, 8, MACHINE)
+    assert also.computing == cost.computing
+    assert also.received - cost.received == pytest.approx(4096 * 24 * 7 / 8)
 
     cost = model.hierarchical(MEASURED, 4096.0, 8, MACHINE)
     received = ghosts * 48 + 100 * halo + 2 * 2 * 100 * 2
     assert cost.computing == pytest.approx(computing / 2)
     assert cost.received == pytest.approx(received)
-    assert cost.communication == pytest.approx((18 * 3 + 3 * 7) * 0.001 + received / 100)
+    assert cost.communication == pytest.approx((45 * 3 + 3 * 7) * 0.001 + received / 100)
 
 
 @pytest.mark.parametrize("width", [1, 2])

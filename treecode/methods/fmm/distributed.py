@@ -24,7 +24,7 @@ from treecode.methods.fmm.octree import Box, build_octree, root_widths
 from treecode.methods.fmm.partition import aligned, divide
 from treecode.methods.fmm.sizing import choose_width, expansion_size, sampling_interval
 from treecode.methods.fmm.summation import FastMultipole
-from treecode.ranks import Delivery, OneRank
+from treecode.ranks import NOTHING, Delivery, OneRank
 from treecode.threads import Threads
 from treecode.timing import Seconds
 from treecode.traversal import load_weights
@@ -128,9 +128,12 @@ class DistributedFastMultipole(FastMultipole):
                     everywhere = np.sort(np.concatenate(keys))
                     self._begin = divide(self._ranks, everywhere, np.ones(len(everywhere)))
             leaf_size = int(counts.sum()) if counts.sum() <= self._direct else self.leaf_size
+            begin = np.empty(0, np.uint64)
             for attempt in range(_TRIES):
                 with self.seconds.stage("partition", more=True):
-                    begin = aligned(self._ranks, self._begin, along, leaf_size)
+                    before, begin = begin, aligned(self._ranks, self._begin, along, leaf_size)
+                    if np.array_equal(before, begin):
+                        break  # leaves are not divided
                     pieces = Pieces(self._ranks, box, begin)
                     self._journeys = [Journey.plan(pieces, some, self._ranks) for some in keys]
                     own = [
@@ -270,12 +273,15 @@ class DistributedFastMultipole(FastMultipole):
             given = [self._packed(multipole, boxes) for boxes in others.given_boxes]
             sent, got = map(len, given), (self._size(multipole, b) for b in others.got_boxes)
             delivery = self._ranks.post(np.concatenate(given), list(sent), list(got))
-        if not others.expands[self._lists.proxy_boxes].all():
-            self._receive(multipole, delivery)  # the near field needs those of others, as points
-        return delivery
+        if others.expands[self._lists.proxy_boxes].all():
+            return delivery
+        self._receive(multipole, delivery)  # the near field needs those of others, as points
+        return NOTHING
 
     def _receive(self, multipole: Expansions, delivery: Delivery) -> None:
         """Put the expansions of others in their places."""
+        if delivery is NOTHING:
+            return
         with self.seconds.stage("communication", more=True):
             rows, stop = delivery.rows(), 0
             for some in self._others.got_boxes:
