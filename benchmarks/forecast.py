@@ -285,7 +285,7 @@ def plot_papers(axes: Any, rows: list[Row], messages: Row) -> None:
     axes.set_xticks([1, 2, 4, 8, 16, 32], ["1", "2", "4", "8", "16", "32"])
     axes.set_xticks([], minor=True)
     axes.set_title("the papers' tables, and the model", fontsize="medium")
-    axes.set(ylim=(0, 110))
+    axes.set(ylim=(0, 120))
 
 
 def plot_forecast(axes: Any, rows: list[Row]) -> None:

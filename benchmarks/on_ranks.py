@@ -18,11 +18,11 @@ from benchmarks import point_sets
 from benchmarks.machine import mpirun
 from benchmarks.methods import FMM
 from benchmarks.rows import Row
-from benchmarks.sums import FEW, TURNS, Sum, repeat
+from benchmarks.sums import FEW, TURNS, Sum
 from treecode.methods.fmm.level import CLASSES
 from treecode.ranks import ranks_of, world
 
-_TURNS = 7  # at most, of some ranks and all
+_LEAST, _MOST = 3, 7  # turns of some ranks and of all; more than the least for a minute only
 _PAUSE = 0.001  # seconds between looks at a message, by a rank that shall not keep a core busy
 _SHORT, _LONG = 8, 1 << 24  # bytes of a message
 _MESSAGES = {_SHORT: 1000, _LONG: 30}  # that go there and back
@@ -81,7 +81,12 @@ def in_turns(comm: Any, fewer: int = 1, weak: bool = False, **case: Any) -> Row:
 
     turn()  # samples its error, and no rank compiles while another one is timed
     notes.clear()
-    one, two = repeat(turn, TURNS, _TURNS).T
+    start, times = time.monotonic(), []
+    while len(times) < _LEAST or (
+        comm.bcast(time.monotonic() < start + TURNS) and len(times) < _MOST
+    ):
+        times.append(turn())
+    one, two = np.array(times).T
     shared.collect()
     if alone is None or comm.rank:
         return {}

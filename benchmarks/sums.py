@@ -232,10 +232,10 @@ class Sum:
         }
 
 
-def repeat(run: Callable[[], Any], enough: float = ENOUGH, most: int = REPEATS) -> np.ndarray:
-    """Return the results of `run`, seconds, `most` of them if they take at most `enough`."""
+def repeat(run: Callable[[], Any], enough: float = ENOUGH) -> np.ndarray:
+    """Return the results of `run`, seconds, `REPEATS` of them if they take at most `enough`."""
     laps = [run()]
-    while len(laps) < most and np.sum(laps) < enough:
+    while len(laps) < REPEATS and np.sum(laps) < enough:
         laps.append(run())
     return np.array(laps)
 

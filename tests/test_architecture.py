@@ -89,10 +89,10 @@ ALLOWED = {
         "treecode.methods.fmm.octree", "treecode.threads",
     },
     "treecode.methods.fmm.curve": {
-        "treecode._jit", "treecode.methods.fmm.octree", "treecode.ranks", "treecode.threads",
-        "treecode.tree",
+        "treecode._jit", "treecode.curve", "treecode.methods.fmm.octree", "treecode.ranks",
+        "treecode.threads",
     },
-    "treecode.methods.fmm.partition": {"treecode.methods.fmm.curve", "treecode.ranks"},
+    "treecode.methods.fmm.partition": {"treecode.curve", "treecode.ranks"},
     "treecode.methods.fmm.ghosts": {
         "treecode.methods.fmm.curve", "treecode.methods.fmm.octree", "treecode.ranks",
     },
@@ -102,9 +102,10 @@ ALLOWED = {
     },
     "treecode.methods": {"treecode.methods"},
     "treecode.ranks": set(),
+    "treecode.curve": set(),
     "treecode.shared_sum": {
-        "treecode.kernels.base", "treecode.methods.base", "treecode.methods.registry",
-        "treecode.ranks", "treecode.sliced_sum", "treecode.timing",
+        "treecode.curve", "treecode.kernels.base", "treecode.methods.base",
+        "treecode.methods.registry", "treecode.ranks", "treecode.sliced_sum", "treecode.timing",
     },
     "treecode.sliced_sum": {"treecode.methods.base", "treecode.ranks", "treecode.timing"},
     "treecode.choice.model": {"treecode.kernels.base"},

@@ -7,8 +7,9 @@ import pytest
 
 import treecode as tc
 from tests.test_ranks import by_mpi, mpirun
-from treecode.methods.fmm import curve
-from treecode.methods.fmm.curve import Pieces, cells_of, first_keys, keys_of
+from treecode import curve
+from treecode.curve import cells_of, first_keys
+from treecode.methods.fmm.curve import Pieces, keys_of
 from treecode.methods.fmm.octree import Box, build_octree
 from treecode.methods.fmm.partition import aligned, divide
 from treecode.ranks import OneRank, ranks_of

@@ -164,7 +164,7 @@ def test_printed_seconds_agree_with_printed_efficiencies(table):
 def test_the_model_counts_the_bytes_that_the_code_counts(options):
     """And the row of a measurement has the rates that the model asks for."""
     row = on_ranks(2, points="cube", size=2000, **options)
-    measured = Measured.of(row)
+    measured = Measured.of(row | options)
     cost = model.replicated if options["backend"] == "direct" else model.gathered
     # Shares are cut where clusters end, so expansions are not quite halved.
     wanted = pytest.approx(cost(measured, 2000.0, 2, MACHINE).received, rel=0.2)

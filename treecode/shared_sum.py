@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from treecode.curve import first_keys
 from treecode.kernels.base import Kernel
 from treecode.methods import registry
 from treecode.methods.base import Method, Sum
@@ -19,10 +20,7 @@ from treecode.ranks import OneRank, Shared
 from treecode.sliced_sum import SlicedSum
 from treecode.timing import Seconds
 
-_BITS = 5  # of a coordinate in each of two codes, which NumPy sorts by their digits
-_SPREAD = np.array(
-    [sum((i >> b & 1) << 3 * b for b in range(_BITS)) for i in range(1 << _BITS)], np.uint16
-)
+_LEVEL = 10  # of the cells along whose curve targets are shared
 _IMBALANCE = 0.02  # of the work of a rank beyond the mean, from which on shares are changed
 
 
@@ -61,15 +59,9 @@ def _across(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool) -> S
 def along_curve(points: np.ndarray) -> np.ndarray:
     """Return the order of points, (3, N), along the curve of Morton through 1024^3 cells."""
     low, extent = points.min(axis=1), np.ptp(points, axis=1).max()
-    last = (1 << 2 * _BITS) - 1
-    cells = ((points - low[:, None]) / (extent or 1.0) * last).astype(np.uint16)
-    order = np.argsort(_interleaved(cells & (1 << _BITS) - 1), kind="stable")
-    return order[np.argsort(_interleaved(cells >> _BITS)[order], kind="stable")]
-
-
-def _interleaved(cells: np.ndarray) -> np.ndarray:
-    x, y, z = _SPREAD[cells]
-    return x | y << 1 | z << 2
+    last = (1 << _LEVEL) - 1
+    cells = ((points - low[:, None]) / (extent or 1.0) * last).astype(np.int64)
+    return np.argsort(first_keys(_LEVEL, cells.T), kind="stable")
 
 
 def balanced(cuts: np.ndarray, work: Sequence[float]) -> np.ndarray:

@@ -160,4 +160,4 @@ def _bars(axes: Any, rows: list[Row]) -> None:
     axes.set_yticks(range(len(rows)), [", ".join(filter(None, some)) for some in words])
     axes.tick_params("y", labelsize="small")
     axes.invert_yaxis()
-    axes.set(xlabel="efficiency of two ranks, measured (%)", xlim=(0, 110))
+    axes.set(xlabel="efficiency of two ranks, measured (%)", xlim=(0, 120))

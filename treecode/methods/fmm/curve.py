@@ -1,4 +1,4 @@
-"""The curve of Morton through the cubes of an octree, of which each rank has a piece."""
+"""The pieces of the curve of Morton that ranks have, and the places of points on it."""
 
 from __future__ import annotations
 
@@ -8,20 +8,12 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode._jit import compiled
+from treecode.curve import END, LEVELS, MASKS, cells_of, first_keys, length
 from treecode.methods.fmm.octree import Box, root_corner
 from treecode.ranks import OneRank
 from treecode.threads import Threads
 
-LEVELS = 21  # of cubes that the curve tells apart: three bits each of a key
-END = np.uint64(1 << 3 * LEVELS)
 _AROUND = np.stack(np.meshgrid(*3 * [[-1, 0, 1]], indexing="ij"), axis=-1).reshape(-1, 3)
-_MASKS = (  # that spread 21 bits, a third of them at a time
-    (32, 0x1F00000000FFFF),
-    (16, 0x1F0000FF0000FF),
-    (8, 0x100F00F00F00F00F),
-    (4, 0x10C30C30C30C30C3),
-    (2, 0x1249249249249249),
-)
 
 
 def keys_of(points: np.ndarray, box: Box, width: float, threads: Threads) -> np.ndarray:
@@ -40,58 +32,33 @@ def keys_of(points: np.ndarray, box: Box, width: float, threads: Threads) -> np.
     corner, levels = root_corner(box, width)
 
     def find(some: slice) -> None:
-        _keys(points[:, some], corner, width, min(levels, LEVELS), keys[some])
+        _keys(points, some.start, corner, width, min(levels, LEVELS), keys[some])
 
     threads(find, len(keys), least=1000)
     return keys
 
 
 @compiled
-def _keys(points, corner, width, levels, keys):
-    """Write where the points lie: a plane between two cubes belongs to the lower one.
+def _keys(points, start, corner, width, levels, keys):
+    """Write where the points from `start` on lie.
 
-    So a tree sorts them, and as its centres, planes are exact.
+    A plane between two cubes belongs to the lower one. So a tree sorts points, and as its centres,
+    planes are exact.
     """
     side, last = width * 0.5**levels, (1 << levels) - 1
     for i in range(len(keys)):
         key = 0
         for d in range(3):
-            x, low = points[d, i], corner[d]
+            x, low = points[d, start + i], corner[d]
             cell = min(max(math.ceil((x - low) / side) - 1, 0), last)
             if cell > 0 and x <= low + cell * side:
                 cell -= 1
             elif cell < last and x > low + (cell + 1) * side:
                 cell += 1
-            for shift, mask in _MASKS:
+            for shift, mask in MASKS:
                 cell = (cell | cell << shift) & mask
             key |= cell << d
         keys[i] = key << 3 * (LEVELS - levels)
-
-
-def first_keys(level: int, cells: np.ndarray) -> np.ndarray:
-    """Return the first key in each of some cubes, (...), with cells (..., 3) of one level."""
-    finest = cells >> max(0, level - LEVELS)
-    bits = finest.astype(np.uint64)
-    for shift, mask in _MASKS:
-        bits = (bits | bits << np.uint64(shift)) & np.uint64(mask)
-    keys = bits[..., 0] | bits[..., 1] << np.uint64(1) | bits[..., 2] << np.uint64(2)
-    return keys << np.uint64(3 * max(0, LEVELS - level))
-
-
-def length(level: int) -> np.uint64:
-    """Return how many keys a cube of a level has."""
-    return np.uint64(1 << 3 * max(0, LEVELS - level))
-
-
-def cells_of(level: int, keys: np.ndarray) -> np.ndarray:
-    """Return the cells, (n, 3), of the cubes of a level, at most `LEVELS`, around keys."""
-    cells = np.zeros((len(keys), 3), np.int64)
-    octants = keys >> np.uint64(3 * (LEVELS - level))
-    for bit in range(level):
-        for d in range(3):
-            one = octants >> np.uint64(3 * bit + d) & np.uint64(1)
-            cells[:, d] |= one.astype(np.int64) << bit
-    return cells
 
 
 class Shared(NamedTuple):

@@ -178,7 +178,7 @@ class DistributedFastMultipole(FastMultipole):
     ) -> None:
         """Build the tree of own points and of those that others have near them."""
         with self.seconds.stage("tree", more=True):
-            points = np.concatenate(own, axis=1)
+            points = np.concatenate(own, axis=1) if len(own) > 1 else own[0]
             split = None if len(own) == 1 else own[0].shape[1]
             tree, self.source_order, self.target_order = build_octree(
                 points, split, leaf_size, self.width, threads, pieces

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from treecode.methods.fmm.curve import END, LEVELS, length
+from treecode.curve import END, LEVELS, length
 from treecode.ranks import OneRank
 
 
