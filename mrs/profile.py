@@ -15,7 +15,9 @@ from mrs import markdown
 
 STAGES = {
     "start": "the first evaluation: compiling, or loading compiled code; choosing backends",
+    "partition": "points brought to the ranks that own them",
     "tree": "points sorted into boxes",
+    "ghosts": "cubes and points that ranks need of each other",
     "operators": "of the fast multipole method, built or read",
     "weights": "strengths in tree order; of treecodes also the expansions of clusters",
     "expansions": "of clusters, from the other ranks",
@@ -27,7 +29,8 @@ STAGES = {
     "walk": "the rest of the walk down the tree; all of it without a counter of cycles",
     "sharing": "targets divided among ranks",
     "waiting": "for the slowest rank",
-    "communication": "values from the other ranks",
+    "communication": "values from other ranks; of the fast multipole method what it needs of them",
+    "gathering": "values of the fast multipole method, from the other ranks",
     "sums": "the rest of the sums: copies, checks",
     "forces": "of the bodies, and their motion from the motion of the fluid",
     "background": "flow without the bodies",

@@ -1,11 +1,13 @@
 """A fast multipole sum of points that no rank has all of: the curve, the pieces, the values."""
 
 import itertools
+import time
 
 import numpy as np
 import pytest
 
 import treecode as tc
+from mrs.profile import STAGES
 from tests.test_ranks import by_mpi, mpirun
 from treecode import curve
 from treecode.curve import cells_of, first_keys
@@ -228,6 +230,23 @@ def test_one_place(on_ranks):
     values, _ = distributed(on_ranks, kernel, points, None, strengths, cuts, **options)
     exact = tc.evaluate(kernel, points, strengths, backend="direct")
     assert np.allclose(values, exact, rtol=1e-6)
+
+
+def test_stages_are_those_of_a_profile(on_ranks):
+    """All of them are shown there, and none is counted within another."""
+
+    def told(comm):
+        plan = tc.Plan(KERNEL, "fmm", tol=1e-3, leaf_size=LEAF, comm=comm)
+        points = np.random.default_rng(0).random((3000, 3))
+        for _ in range(2):
+            start = time.perf_counter()
+            plan.set_points(points).execute(points)
+            whole = time.perf_counter() - start
+        return plan.info()["seconds"], whole
+
+    for seconds, whole in on_ranks(2, told):
+        assert {"partition", "ghosts", "communication", "gathering"} < set(seconds) < set(STAGES)
+        assert sum(seconds.values()) <= whole
 
 
 def test_work_is_shared_where_points_crowd(on_ranks):

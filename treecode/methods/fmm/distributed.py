@@ -56,9 +56,8 @@ class Journey(NamedTuple):
     @classmethod
     def plan(cls, pieces: Pieces, keys: np.ndarray, ranks: OneRank) -> Journey:
         """Return the journey of points with some keys, (n,) uint64."""
-        owner = np.zeros(len(keys), np.min_scalar_type(ranks.size))
-        for begin in pieces.begin[1:-1]:
-            owner += keys >= begin
+        owner = np.searchsorted(pieces.begin[1:-1], keys, side="right")
+        owner = owner.astype(np.min_scalar_type(ranks.size))  # small numbers are sorted by digits
         order = np.argsort(owner, kind="stable")
         place = np.empty_like(order)
         place[order] = np.arange(len(order))
@@ -254,10 +253,11 @@ class DistributedFastMultipole(FastMultipole):
     def _weights(self, strengths: np.ndarray, threads: Threads) -> tuple[np.ndarray, float]:
         """Return weights in tree order with those of others behind, and their common unit."""
         others, count = self._others, len(strengths)
-        own = np.empty((self.kernel.weight_size, count))
-        load_weights(self.kernel, strengths, self.source_order, own, threads)
-        unit = max(self._ranks.exchange(self._power_of_two(_largest(own))))
-        own /= unit
+        with self.seconds.stage("weights"):
+            own = np.empty((self.kernel.weight_size, count))
+            load_weights(self.kernel, strengths, self.source_order, own, threads)
+            unit = max(self._ranks.exchange(self._power_of_two(_largest(own))))
+            own /= unit
         with self.seconds.stage("communication", more=True):
             given = np.take(own, others.given_points, axis=1).T
             ghosts = self._ranks.post(given, others.sent_points, others.got_points).rows()

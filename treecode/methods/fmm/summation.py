@@ -116,8 +116,7 @@ class FastMultipole:
             return values
         prepared = self._tree, self._lists, self._operators
         with blas_of_one_thread, Threads(self._progress) as threads:
-            with self.seconds.stage("weights"):
-                weights, unit = self._weights(strengths, threads)
+            weights, unit = self._weights(strengths, threads)
             far = FarField(*prepared, threads)
             near = NearField(self.kernel, *prepared, self.sources, weights, threads)
             with self.seconds.stage("upward"):
@@ -142,10 +141,11 @@ class FastMultipole:
 
         It is a power of two: singles hold nothing below 1e-38, nor above 1e38.
         """
-        weights = np.empty((self.kernel.weight_size, len(strengths)))
-        load_weights(self.kernel, strengths, self.source_order, weights, threads)
-        unit = self._power_of_two(max(weights.max(), -weights.min()))
-        weights /= unit
+        with self.seconds.stage("weights"):
+            weights = np.empty((self.kernel.weight_size, len(strengths)))
+            load_weights(self.kernel, strengths, self.source_order, weights, threads)
+            unit = self._power_of_two(max(weights.max(), -weights.min()))
+            weights /= unit
         return weights, unit
 
     def _power_of_two(self, largest: float) -> float:
