@@ -35,7 +35,8 @@ def state_of(directory):
 def trajectories(directory):
     """Return times, points and arrays of all frames of all files of a run."""
     found = {}
-    for path in sorted(directory.glob("*.vtkhdf")):
+    # A kill while a file is written leaves a hidden part of it; the file itself is whole.
+    for path in sorted(directory.glob("[!.]*.vtkhdf")):
         with Trajectory(path) as file:
             numbers = range(len(file))
             arrays = [(file.points(i), file.point_data(i), file.cell_data(i)) for i in numbers]
