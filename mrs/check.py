@@ -6,7 +6,6 @@ import difflib
 import functools
 import inspect
 import re
-import reprlib
 from collections.abc import Callable, Iterable
 from typing import Any, TypeVar
 
@@ -14,13 +13,19 @@ import numpy as np
 
 from treecode.check import (
     LARGEST_COORDINATE,
+    direction,
     integer,
     number,
     one_of,
     points,
     positive,
+    real,
     rows,
+    shaped,
+    short,
     unmasked,
+    vector,
+    within,
 )
 
 __all__ = [
@@ -61,31 +66,6 @@ class NotFiniteValueError(FunctionError):
     """The result is not finite, which may be due to too long a step."""
 
 
-_short = reprlib.Repr()
-_short.maxstring = _short.maxother = 80
-
-
-def real(name: str, value: Any) -> np.ndarray:
-    """Return `value` as an array of real numbers, none of them masked."""
-    unmasked(name, value)
-    try:
-        array = np.asarray(value)
-    except ValueError:  # ragged
-        raise ValueError(f"{name} must have rows of one length, got {_short.repr(value)}") from None
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"{name} must hold real numbers, got {_short.repr(value)}")
-    return array
-
-
-def shaped(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
-    """Return `value`, finite and of one of `shapes`, as float64."""
-    array = real(name, value)
-    if array.shape not in shapes:
-        allowed = " or ".join(map(str, shapes))
-        raise ValueError(f"{name} must have shape {allowed}, got shape {array.shape}")
-    return _within(name, array.astype(np.float64), -np.inf)
-
-
 def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.inf) -> np.ndarray:
     """Return `value`, finite and greater than `low`, broadcast to `shape` as float64."""
     array = real(name, value)
@@ -95,17 +75,7 @@ def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.in
         raise ValueError(
             f"{name} must be a number, or have shape {shape}, got shape {array.shape}"
         ) from None
-    return _within(name, array, low)
-
-
-def _within(name: str, array: np.ndarray, low: float) -> np.ndarray:
-    bad = np.argwhere(~(np.isfinite(array) & (array > low)))
-    if len(bad):
-        place = tuple(bad[0].tolist())
-        bound = "" if low == -np.inf else f" and greater than {low:g}"
-        where = f" at {name}[{', '.join(map(str, place))}]" if place else ""
-        raise ValueError(f"{name} must be finite{bound}, got {array[place]}{where}")
-    return array
+    return within(name, array, low)
 
 
 def not_negative(name: str, value: Any, high: float = 1e60) -> float:
@@ -124,7 +94,7 @@ def instance(name: str, value: Any, *kinds: type) -> Any:
     """Return `value` if it is of one of `kinds`."""
     if not isinstance(value, kinds):
         allowed = " or ".join("None" if k is type(None) else f"mrs.{k.__name__}" for k in kinds)
-        raise TypeError(f"{name} must be {allowed}, got {_short.repr(value)}")
+        raise TypeError(f"{name} must be {allowed}, got {short.repr(value)}")
     return value
 
 
@@ -133,7 +103,7 @@ def instances(name: str, values: Any, kind: type) -> tuple[Any, ...]:
     if isinstance(values, kind) or not isinstance(values, Iterable):
         raise TypeError(
             f"{name} must be a list of mrs.{kind.__name__}, in brackets also a single one, "
-            f"got {_short.repr(values)}"
+            f"got {short.repr(values)}"
         )
     return tuple(instance(f"{name}[{i}]", value, kind) for i, value in enumerate(values))
 
@@ -141,7 +111,7 @@ def instances(name: str, values: Any, kind: type) -> tuple[Any, ...]:
 def function(name: str, value: Any, of: str) -> Any:
     """Return `value` if it can be called."""
     if not callable(value):
-        raise TypeError(f"{name} must be a function of {of}, got {_short.repr(value)}")
+        raise TypeError(f"{name} must be a function of {of}, got {short.repr(value)}")
     return value
 
 
@@ -180,20 +150,6 @@ def vectors(name: str, value: Any, count: int, where: Callable[[int], str]) -> n
         row = int(np.argmin(np.isfinite(array).all(axis=1)))
         raise NotFiniteValueError(f"{name} must give finite numbers, got {array[row]} {where(row)}")
     return array
-
-
-def vector(name: str, value: Any) -> np.ndarray:
-    """Return `value` as a finite (3,) float64 array."""
-    return shaped(name, value, (3,))
-
-
-def direction(name: str, value: Any) -> np.ndarray:
-    """Return `value`, (3,) and not zero, scaled to unit length."""
-    array = vector(name, value)
-    length = np.linalg.norm(array)
-    if length == 0.0:
-        raise ValueError(f"{name} must not be zero, got {value!r}")
-    return array / length
 
 
 def computable(points: np.ndarray, loads: np.ndarray) -> bool:

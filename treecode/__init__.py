@@ -4,7 +4,7 @@ from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
 from treecode.accuracy import relative_error
-from treecode.boundary import Boundary, FreeSpace, Term
+from treecode.boundaries import Boundary, FreeSpace, Term, Wall
 from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.evaluation import evaluate
 from treecode.kernels import (
@@ -37,6 +37,7 @@ __all__ = [
     "StokesletStresslet",
     "Term",
     "ToleranceError",
+    "Wall",
     "__version__",
     "backends",
     "cache",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import reprlib
 from numbers import Real
 from typing import Any
 
@@ -12,6 +13,9 @@ import numpy as np
 # Kernels use up to the fifth power of an inverse length; within these it stays in range.
 LARGEST_COORDINATE = 1e60
 SMALLEST_PARAMETER, LARGEST_PARAMETER = 1e-60, 1e60
+
+short = reprlib.Repr()
+short.maxstring = short.maxother = 80
 
 
 def number(name: str, value: Any, low: float, high: float, *, low_inclusive: bool = False) -> float:
@@ -123,6 +127,52 @@ def unmasked(name: str, value: Any) -> None:
         raise ValueError(
             f"{name} must not have masked entries: fill them, or leave the rows out, got {value!r}"
         )
+
+
+def real(name: str, value: Any) -> np.ndarray:
+    """Return `value` as an array of real numbers, none of them masked."""
+    unmasked(name, value)
+    try:
+        array = np.asarray(value)
+    except ValueError:  # ragged
+        raise ValueError(f"{name} must have rows of one length, got {short.repr(value)}") from None
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} must hold real numbers, got {short.repr(value)}")
+    return array
+
+
+def shaped(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
+    """Return `value`, finite and of one of `shapes`, as float64."""
+    array = real(name, value)
+    if array.shape not in shapes:
+        allowed = " or ".join(map(str, shapes))
+        raise ValueError(f"{name} must have shape {allowed}, got shape {array.shape}")
+    return within(name, array.astype(np.float64), -np.inf)
+
+
+def within(name: str, array: np.ndarray, low: float) -> np.ndarray:
+    """Return `array` if it is finite and greater than `low`."""
+    bad = np.argwhere(~(np.isfinite(array) & (array > low)))
+    if len(bad):
+        place = tuple(bad[0].tolist())
+        bound = "" if low == -np.inf else f" and greater than {low:g}"
+        where = f" at {name}[{', '.join(map(str, place))}]" if place else ""
+        raise ValueError(f"{name} must be finite{bound}, got {array[place]}{where}")
+    return array
+
+
+def vector(name: str, value: Any) -> np.ndarray:
+    """Return `value` as a finite (3,) float64 array."""
+    return shaped(name, value, (3,))
+
+
+def direction(name: str, value: Any) -> np.ndarray:
+    """Return `value`, (3,) and not zero, scaled to unit length."""
+    array = vector(name, value)
+    length = np.linalg.norm(array)
+    if length == 0.0:
+        raise ValueError(f"{name} must not be zero, got {value!r}")
+    return array / length
 
 
 def groups(value: Any, count: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from treecode.kernels.base import Kernel
 from treecode.methods.base import KEYWORDS
 from treecode.plan import Plan
 
-_OPTIONS = ("backend", *KEYWORDS, "progress", "comm", "distributed")
+_OPTIONS = ("backend", *KEYWORDS, "progress", "boundary", "comm", "distributed")
 
 
 def evaluate(
@@ -28,8 +28,8 @@ def evaluate(
     targets : (M, 3) array_like, optional
         The sources by default.
     **options
-        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`, `comm`,
-        `distributed`.
+        `backend`, `theta`, `degree`, `leaf_size`, `precision`, `tol`, `progress`, `boundary`,
+        `comm`, `distributed`.
 
     Returns
     -------

@@ -12,6 +12,7 @@ import numpy as np
 from treecode import check
 from treecode._jit import require_unchanged
 from treecode.accuracy import Parts
+from treecode.boundaries.base import Boundary, FreeSpace
 from treecode.choice.sampling import WATCHED, in_given_order, sampled_error, seems_kept
 from treecode.choice.search import Search
 from treecode.choice.spread import SpreadSearch
@@ -71,6 +72,8 @@ class Plan:
     comm : mpi4py.MPI.Comm, optional
         Ranks of MPI that share the sum. All of them make the same calls with the same arguments,
         and get the same values, or the same error. See docs/mpi.md.
+    boundary : Boundary, optional
+        Of the fluid, for example `Wall`; free space by default.
     distributed : bool, optional
         Whether each rank gives points and strengths of its own, and gets the values at its own
         targets: for the fast multipole method by name. `tol` is kept over the targets of all.
@@ -108,6 +111,7 @@ class Plan:
         precision: str | None = None,
         tol: float | None = None,
         progress: bool = False,
+        boundary: Boundary | None = None,
         comm: Any = None,
         distributed: bool = False,
     ) -> None:
@@ -119,6 +123,10 @@ class Plan:
         self.kernel = registry.require_kernel(kernel, backend)
         require_counts(kernel)
         require_unchanged(type(kernel))
+        self.boundary = FreeSpace() if boundary is None else boundary
+        if not isinstance(self.boundary, Boundary):
+            raise TypeError(f"boundary must be a treecode.Boundary, got {boundary!r}")
+        self._bounded = registry.require_kernel(self.boundary.bounded(kernel), backend)
         self.lock = Lock()
         self._progress = progress
         self._search: Search | None = None
@@ -142,13 +150,13 @@ class Plan:
         """Make the sum that is given, or prepare the search for one."""
         tol = given.get("tol", KEYWORDS["tol"].default)
         kind = SpreadSearch if self._spread else Search
-        search = partial(kind, self.kernel, progress=self._progress, ranks=self.ranks)
+        search = partial(kind, self._bounded, progress=self._progress, ranks=self.ranks)
         if self.backend == AUTO:
             chosen = {name: given.get(name) for name in KEYWORDS if name != "tol"}
             check.absent(f"with backend {AUTO!r}, which chooses it", **chosen)
-            self._search = search(registry.able(self.kernel), tol)
+            self._search = search(registry.able(self._bounded), tol)
             return
-        method = registry.get(self.backend)
+        method = registry.method_for(self._bounded, self.backend)
         method.refuse(given)
         first = method.first(given)
         if method.seeks(given):
@@ -162,7 +170,7 @@ class Plan:
 
     def _made(self, choice: Choice) -> Sum:
         kind = spread if self._spread else made
-        return kind(choice, self.kernel, self.ranks, self._progress)
+        return kind(choice, self._bounded, self.ranks, self._progress)
 
     def __copy__(self) -> Plan:
         """Return a plan that shares nothing: points of one are not those of the other."""
@@ -185,7 +193,7 @@ class Plan:
         ValueError, TypeError
             If it is not a choice, or not one for this kernel.
         """
-        self._choice = registry.require_choice(choice, self.kernel)
+        self._choice = registry.require_choice(choice, self._bounded)
         self._sum = self._made(choice)
         self._parts, self._points_set = None, False
 
@@ -216,7 +224,10 @@ class Plan:
             or what it builds does not fit in memory: the plan has no points.
         """
         sources = check.points("sources", sources)
-        targets = None if targets is None else check.points("targets", targets)
+        self.boundary.require_inside("sources", sources)
+        if targets is not None:
+            targets = check.points("targets", targets)
+            self.boundary.require_inside("targets", targets)
         counts = len(sources), len(sources if targets is None else targets)
         groups = None if groups is None else check.groups(groups, counts[1])
         if self._spread:
@@ -347,7 +358,7 @@ class Plan:
             return True
         else:
             watched = self._watched, self._at_watched, self.ranks
-            if seems_kept(self.kernel, self._sum, search.tol, strengths, values, parts, *watched):
+            if seems_kept(self._bounded, self._sum, search.tol, strengths, values, parts, *watched):
                 return True
         if search.bound(self._sum, strengths, values, parts) > search.tol:
             return False
@@ -412,7 +423,7 @@ class Plan:
         if self._sum is None:
             return 0.0
         error = sampled_error(
-            self.kernel, self._sum, strengths, values, parts, samples, seed, ranks=self.ranks
+            self._bounded, self._sum, strengths, values, parts, samples, seed, ranks=self.ranks
         )
         return error.by_unit if by_unit else error.norm
 

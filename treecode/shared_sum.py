@@ -6,11 +6,14 @@ the values. The shares of the targets follow the work that they have made.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from treecode.boundaries.base import BoundedKernel
+from treecode.boundaries.within import BoundedSum, Within
 from treecode.curve import first_keys
 from treecode.kernels.base import Kernel
 from treecode.methods import registry
@@ -24,8 +27,10 @@ _LEVEL = 10  # of the cells along whose curve targets are shared
 _IMBALANCE = 0.02  # of the work of a rank beyond the mean, from which on shares are changed
 
 
-def made(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False) -> Sum:
+def made(choice: Choice, kernel: Any, ranks: OneRank, progress: bool = False) -> Sum:
     """Return the sum of a choice, without points yet, shared by the ranks."""
+    if isinstance(kernel, BoundedKernel):
+        return _of_terms(choice, kernel, partial(made, ranks=ranks, progress=progress))
     if ranks.size == 1:
         return choice.sum(kernel, progress)
     across = _across(choice, kernel, ranks, progress)
@@ -34,11 +39,25 @@ def made(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False)
     return SharedSum(choice, kernel, ranks, progress and ranks.rank == 0)
 
 
-def spread(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool = False) -> Sum:
+def spread(choice: Choice, kernel: Any, ranks: OneRank, progress: bool = False) -> Sum:
     """Return the sum of a choice, without points yet, of which each rank has some."""
+    if isinstance(kernel, BoundedKernel):
+        return _of_terms(choice, kernel, partial(spread, ranks=ranks, progress=progress))
     across = _across(choice, kernel, ranks, progress)
     assert across is not None, "see `require_spread`"
     return SlicedSum(across, OneRank())
+
+
+def _of_terms(
+    choice: Choice, kernel: BoundedKernel, make: Callable[[Choice, Kernel], Sum]
+) -> BoundedSum:
+    """Return the sum of a choice within a boundary, of sums that `make` returns for its terms."""
+    method = registry.method_for(kernel, choice.backend)
+    assert isinstance(method, Within)
+    parameters = method.divided(choice.parameters)
+    choices = [Choice(choice.backend, **own) for own in parameters]
+    kernels = [term.kernel for term in kernel.terms]
+    return BoundedSum(method, kernel.terms, list(map(make, choices, kernels)))
 
 
 def require_spread(backend: str) -> None:

@@ -74,25 +74,22 @@ class Backend:
 
 
 class _Sources(NamedTuple):
-    """Points of one blob size, all with torques or all without, as sources of one term."""
+    """Points of one blob size, all with torques or all without, in the fluid."""
 
-    term: tc.Term
-    width: int
-    """Columns of the loads that the kernel takes: forces, and torques."""
+    kernel: tc.Kernel
+    boundary: Boundary
     rows: np.ndarray
 
-    def at(self, points: np.ndarray, loads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sources of the term, (n, 3), and their strengths."""
-        own = points[self.rows]
-        strengths = self.term.strengths_of(own, loads[self.rows, : self.width])
-        return self.term.sources_of(own), strengths
+    def strengths(self, loads: np.ndarray) -> np.ndarray:
+        """Return the columns of their loads that the kernel takes: forces, and torques."""
+        return loads[self.rows, : self.kernel.strength_size]
 
     def flow(
         self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray, **options: Any
     ) -> np.ndarray:
         """Return the part of the flow at any targets, (M, 3), by one sum with such options."""
-        arguments = self.term.kernel, *self.at(points, loads), targets
-        return self.term.flow_of(targets, tc.evaluate(*arguments, **options))
+        arguments = self.kernel, points[self.rows], self.strengths(loads), targets
+        return tc.evaluate(*arguments, boundary=self.boundary, **options)
 
 
 class _Sum:
@@ -107,7 +104,7 @@ class _Sum:
         comm: Any,
     ) -> None:
         self.sources, self.targets = sources, targets
-        self._same = sources.term.sources is None and np.array_equal(sources.rows, targets)
+        self._same = np.array_equal(sources.rows, targets)
         own = bodies[targets]
         self._groups = own if (own != own[0]).any() else None
         self._backend, self._comm = backend, comm
@@ -116,41 +113,38 @@ class _Sum:
     def begin(self, choice: tc.Choice | None) -> None:
         """Sum by a choice from now on, or choose anew."""
         options = self._backend.options(self._backend.tolerance)
-        self.plan = tc.Plan(self.sources.term.kernel, **options, comm=self._comm)
+        kernel, boundary, _ = self.sources
+        self.plan = tc.Plan(kernel, **options, boundary=boundary, comm=self._comm)
         if choice is not None:
             self.plan.use(choice)
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        sources, strengths = self.sources.at(points, loads)
-        targets = self._place(sources, points)
+        strengths = self.sources.strengths(loads)
+        self._place(points)
         try:
-            values = self.plan.execute(strengths)
+            return self.plan.execute(strengths)
         except tc.CancellationError:
-            self._sum_directly(sources, points)
-            values = self.plan.execute(strengths)
-        return self.sources.term.flow_of(targets, values)
+            self._sum_directly(points)
+            return self.plan.execute(strengths)
 
     def refine(
         self, points: np.ndarray, loads: np.ndarray, tolerance: float, flow: np.ndarray
     ) -> None:
         """Sample the error of the last sum, and choose another way to sum if it is too large."""
-        values = flow if self.sources.term.values is None else None
-        sources, strengths = self.sources.at(points, loads)
         try:
-            self.plan.refine(strengths, tolerance, values)
+            self.plan.refine(self.sources.strengths(loads), tolerance, flow)
         except tc.CancellationError:
-            self._sum_directly(sources, points)
+            self._sum_directly(points)
 
-    def _place(self, sources: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Set the sources, (n, 3), and return the targets among all points, (M, 3)."""
-        targets = sources if self._same else points[self.targets]
-        self.plan.set_points(sources, None if self._same else targets, self._groups)
-        return targets
+    def _place(self, points: np.ndarray) -> None:
+        """Set the sources and the targets among all points."""
+        targets = None if self._same else points[self.targets]
+        self.plan.set_points(points[self.sources.rows], targets, self._groups)
 
-    def _sum_directly(self, sources: np.ndarray, points: np.ndarray) -> None:
+    def _sum_directly(self, points: np.ndarray) -> None:
         """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""
         self.plan.use(tc.EXACT)
-        self._place(sources, points)
+        self._place(points)
 
 
 class Mobility:
@@ -211,13 +205,13 @@ class Mobility:
                 if not len(sources):
                     continue
                 kernels = [kind(float(epsilon), viscosity) for kind in _KINDS]
-                self._sources += _terms(boundary, kernels[torque], sources)
+                self._sources.append(_Sources(kernels[torque], boundary, sources))
                 rotlet = spinning | torque
                 for body in np.unique(together):
                     for spin in np.unique(rotlet[together == body]):
                         targets = np.flatnonzero((together == body) & (rotlet == spin))
-                        for part in _terms(boundary, kernels[int(spin)], sources):
-                            self._sums.append(_Sum(part, targets, bodies, backend, comm))
+                        part = _Sources(kernels[int(spin)], boundary, sources)
+                        self._sums.append(_Sum(part, targets, bodies, backend, comm))
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
@@ -357,11 +351,6 @@ class Mobility:
         for part, tolerance, out in zip(self._sums, needed, outs, strict=False):
             part.refine(points, loads, tolerance, out)
         return self.choices != before
-
-
-def _terms(boundary: Boundary, kernel: tc.Kernel, rows: np.ndarray) -> list[_Sources]:
-    """Return the sources of each term that makes the flow within a boundary."""
-    return [_Sources(term, kernel.strength_size, rows) for term in boundary.terms(kernel)]
 
 
 def _shares(tolerance: float, terms: np.ndarray, total: np.ndarray) -> np.ndarray:

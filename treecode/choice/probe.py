@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from treecode.accuracy import Parts, largest, ratio
+from treecode.boundaries.base import Term, free
 from treecode.choice.model import Model
 from treecode.choice.refusals import CancellationError
 from treecode.choice.sampling import direct_sum
-from treecode.kernels.base import Kernel
 from treecode.methods import kitc
 from treecode.methods.base import PRECISIONS, Offer
 from treecode.methods.direct import EXACT
@@ -33,6 +33,7 @@ _FEW_PILOTS = 16  # more if fewer than so many would be of a group
 _MARGIN = 1.25  # by which errors may be larger than expected
 _LEAST = 0.1  # of an expected error: a sum that has hardly a far field tells nothing of others
 _SINGLE_UNIT = 2.0**-24  # error of singles where it does not show at the pilots
+_ERRORS = "error", "offset", "slope"  # keys of the fitted model that tell errors, not costs
 _ROUNDING = 100 * 2.0**-53  # of direct sums, relative to sums of such terms that do not cancel
 
 
@@ -60,7 +61,7 @@ class Probe:
 
     def __init__(
         self,
-        kernel: Kernel,
+        kernel: Any,
         sources: np.ndarray,
         targets: np.ndarray,
         strengths: np.ndarray,
@@ -72,7 +73,7 @@ class Probe:
         self.kernel, self.sources, self.targets = kernel, sources, targets
         self.tol, self.sums, self._ranks = tol, sums, ranks
         self.memory: dict[str, Any] = {}
-        self._strengths, self._parts, self._model = strengths, parts, Model(kernel)
+        self._strengths, self._parts, self._model = strengths, parts, Model(free(kernel))
         self._misses: dict[tuple[str, str], float] = defaultdict(lambda: 1.0)
         self._drawn = parts.draw(_PILOTS, _FEW_PILOTS)
         self._pilots = targets[:, self._drawn]
@@ -111,6 +112,16 @@ class Probe:
         error = float(self._parts.difference(values, self._exact, self._drawn).max())
         return self._ranks.first(error)
 
+    def of_terms(self) -> list[_Term]:
+        """Return a case for each term of a kernel within a boundary."""
+        return self._terms
+
+    @cached_property
+    def _terms(self) -> list[_Term]:
+        same = self.targets is self.sources
+        points = self.sources.T, None if same else self.targets.T
+        return [_Term(self, term, *term.columns_of(*points)) for term in self.kernel.terms]
+
     @cached_property
     def scale(self) -> float:
         """By how much errors are larger here than the model says."""
@@ -139,3 +150,44 @@ class Probe:
         expected = self.expected_error(name, offer)
         miss = bound / expected if expected > 0.0 else math.inf
         self._misses[name, offer.kind] *= max(miss, _LEAST)
+
+
+class _Term:
+    """One term of a case within a boundary, as methods see it.
+
+    Parameters
+    ----------
+    whole : Probe
+    term : Term
+    sources, targets : (3, n) and (3, M) float64
+        Of the term; targets are None if they are the sources.
+    """
+
+    def __init__(
+        self, whole: Probe, term: Term, sources: np.ndarray, targets: np.ndarray | None
+    ) -> None:
+        self._whole, self._model = whole, Model(term.kernel)
+        self.kernel, self.tol, self.sums = term.kernel, whole.tol, whole.sums
+        self.sources, self.targets = sources, sources if targets is None else targets
+        self.memory: dict[str, Any] = {}
+
+    @property
+    def scale(self) -> float:
+        return self._whole.scale
+
+    @property
+    def rounding(self) -> Mapping[str, float]:
+        return self._whole.rounding
+
+    def fitted(self, name: str) -> dict[str, Any] | None:
+        """Return the costs of this kernel, and the errors of that in free space."""
+        costs, errors = self._model.fitted(name), self._whole.fitted(name)
+        if costs is None or errors is None:
+            return None
+        return {**costs, **{key: errors[key] for key in _ERRORS if key in errors}}
+
+    def will_do(self, name: str, offer: Offer) -> bool:
+        return self._whole.will_do(name, offer)
+
+    def of_terms(self) -> list[_Term]:
+        return [self]

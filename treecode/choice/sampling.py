@@ -58,8 +58,7 @@ def _over_ranks(
 ) -> np.ndarray:
     """Return exact values at targets of this rank, (3, t), of the sources of all ranks."""
     everywhere = ranks.gather(targets.T)
-    exact = EXACT.sum(kernel)
-    exact.set_points(sum_.sources.copy(), np.ascontiguousarray(everywhere.T))
+    exact = direct_sum(kernel, sum_.sources, np.ascontiguousarray(everywhere.T), OneRank())
     values = ranks.add_up(exact.execute(strengths[sum_.source_order]))
     stop = int(np.cumsum(ranks.exchange(targets.shape[1]))[ranks.rank])
     return values[stop - targets.shape[1] : stop]
@@ -91,6 +90,10 @@ def seems_kept(
         all_exact = _over_ranks(kernel, sum_, strengths, points[:, :few], ranks)
         return parts.seem_within(_ASTRAY * tol, values, all_exact, rows[:few])
     few = min(few, len(rows))
+    if not hasattr(kernel, "pair"):  # within a boundary
+        exact_sum = direct_sum(kernel, sum_.sources, points[:, :few].copy(), ranks)
+        all_exact = exact_sum.execute(strengths[sum_.source_order])
+        return ranks.first(parts.seem_within(_ASTRAY * tol, values, all_exact, rows[:few]))
     padded = np.zeros((3, few + LANES - 1))
     padded[:, :few] = points[:, :few]
     exact = np.zeros((kernel.value_size, few))

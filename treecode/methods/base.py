@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
@@ -104,6 +104,12 @@ class Case(Protocol):
 
     def will_do(self, name: str, offer: Offer) -> bool:
         """Tell whether an offer should keep the tolerance, after the samples so far."""
+
+    def of_terms(self) -> Sequence[Case]:
+        """Return a case for each term of a kernel within a boundary.
+
+        Their errors are expected to be those of the kernel in free space.
+        """
 
 
 class Sum(Protocol):

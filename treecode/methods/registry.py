@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from treecode import check
+from treecode.boundaries.base import BoundedKernel
+from treecode.boundaries.within import Within
 from treecode.kernels.base import Kernel
 from treecode.methods.base import Method, Parameter, Sum
 
@@ -55,9 +57,16 @@ def parameters(backend: str) -> Mapping[str, Parameter]:
     return {} if backend == AUTO else get(backend).parameters
 
 
-def able(kernel: Kernel) -> tuple[Method, ...]:
+def method_for(kernel: Any, name: str) -> Method:
+    """Return the method of a name for a kernel, which may be one within a boundary."""
+    method = get(name)
+    return Within(method, kernel) if isinstance(kernel, BoundedKernel) else method
+
+
+def able(kernel: Any) -> tuple[Method, ...]:
     """Return the methods whose demands a kernel meets; a sum may refuse it later."""
-    return tuple(method for method in _methods.values() if method.takes(kernel))
+    methods = (method_for(kernel, name) for name in names())
+    return tuple(method for method in methods if method.takes(kernel))
 
 
 def require_kernel(kernel: Any, backend: str) -> Any:
@@ -70,6 +79,10 @@ def require_kernel(kernel: Any, backend: str) -> Any:
     """
     members = Method.members if backend == AUTO else get(backend).members
     others = [name for name, method in _methods.items() if method.any_kernel]
+    if isinstance(kernel, BoundedKernel):
+        for term in kernel.terms:
+            check.kernel(term.kernel, backend, members, others)
+        return kernel
     return check.kernel(kernel, backend, members, others)
 
 
@@ -147,7 +160,8 @@ def require_choice(choice: Any, kernel: Kernel) -> Choice:
     """
     if not isinstance(choice, Choice):
         raise TypeError(f"choice must be a treecode.Choice, such as Plan.choice, got {choice!r}")
-    method = get(choice.backend, "choice.backend")
+    get(choice.backend, "choice.backend")
+    method = method_for(kernel, choice.backend)
     require_kernel(kernel, method.name)
     require_complete(method, choice.parameters, "choice.")
     for name, value in choice.parameters.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -66,7 +67,9 @@ def permutations(channels: Channels, degree: int) -> list[tuple[np.ndarray, np.n
     index = np.arange(channels.becomes.shape[1] * degree**3).reshape(-1, degree, degree, degree)
     return [
         (index[becomes].transpose(0, *(1 + axes)).ravel(), np.repeat(signs, degree**3))
-        for axes, becomes, signs in zip(*channels[1:], strict=True)
+        for axes, becomes, signs in zip(
+            channels.axes, channels.becomes, channels.signs, strict=True
+        )
     ]
 
 
@@ -94,7 +97,7 @@ def _fields(
     -------
     coefficients : (channels * degree^3, fields) ndarray
     scale : (channels,) ndarray
-        What has brought the channels to one size.
+        What has brought the channels to one size, where all of them count alike.
     """
     spread = fill_evenly(4, samples).T
     # Many close by: they ask most, and with few there the error grew with the number of digits.
@@ -114,7 +117,9 @@ def _fields(
         parts.append(values.reshape(values.shape[0], degree**3, -1))
     coefficients = np.concatenate(parts, axis=2)
     square = (coefficients**2).sum(axis=(1, 2))
-    scale = 1.0 / np.sqrt(square[channels.becomes].mean(axis=0))
+    scale = np.ones(len(square))
+    if channels.alike:
+        scale = 1.0 / np.sqrt(square[channels.becomes].mean(axis=0))
     return (coefficients * scale[:, None, None]).reshape(-1, coefficients.shape[2]), scale
 
 
@@ -147,7 +152,9 @@ def choose_degree(table: Callable, channels: Channels, half: float, budget: floa
 def make_side(table: Callable, channels: Channels, half: float, degree: int, budget: float) -> Side:
     """Return the modes of one side, but for some that weigh far less than `budget` of all."""
     moves = permutations(channels, degree)
-    samples = -(-_SAMPLES * degree**2 // len(moves))
+    # Parts of one flow are not independent: three channels would have as many functions.
+    some = 1.0 if channels.alike else 3.0 / channels.parity.shape[1]
+    samples = math.ceil(some * _SAMPLES * degree**2 / len(moves))
     fields, scale = _fields(table, channels, half, degree, samples)
     members = _members(degree, channels.parity)
     classes = class_of(members)

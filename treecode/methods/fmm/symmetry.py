@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -29,12 +29,15 @@ class Channels(NamedTuple):
         At P r a component is this one at r,
     signs : (permutations, channels) of +-1
         times this.
+    alike : bool
+        Whether errors of all channels count alike. If not, they count by the size of the channel.
     """
 
     parity: np.ndarray
     axes: np.ndarray
     becomes: np.ndarray
     signs: np.ndarray
+    alike: bool
 
 
 class Symmetry(NamedTuple):
@@ -105,12 +108,26 @@ class Units(NamedTuple):
     evenness: float
 
 
-def find_units(kernel: Kernel, length: float) -> Units:
+def _adds_to_flow(kernel: Any) -> bool:
+    """Tell whether a kernel is a correction, whose values are small parts of a flow."""
+    return bool(getattr(kernel, "adds_to_flow", False))
+
+
+def find_units(kernel: Any, length: float) -> Units:
     """Find the units of a kernel at a distance.
 
     With lengths in micrometres a torque does a millionth of what a force does. Components that
     change places under permutations of the axes get the same unit.
+
+    Of a kernel that `adds_to_flow`, a channel that does little may be far off: units are those of
+    its dimensions alone.
     """
+    if _adds_to_flow(kernel):
+        values, sources = (
+            length ** np.array(own, np.float64)
+            for own in (kernel.value_lengths, kernel.weight_lengths)
+        )
+        return Units(values, sources, 1.0)
     images = [_POINTS[list(axes)] for axes in itertools.permutations(range(3))]
     sizes = np.abs(tabulate(kernel, length * np.concatenate(images, axis=1))).mean(axis=0)
     values, sources = np.ones(sizes.shape[0]), np.ones(sizes.shape[1])
@@ -174,6 +191,7 @@ def find_symmetry(kernel: Kernel, half: float) -> Symmetry:
             np.array(axes),
             np.array([becomes[side] for becomes, _ in moved]),
             np.array([signs[side] for _, signs in moved]),
+            not _adds_to_flow(kernel),
         )
         for side in range(2)
     )

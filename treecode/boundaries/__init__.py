@@ -1,0 +1,6 @@
+"""Boundaries of the fluid, each in one place."""
+
+from treecode.boundaries.base import Boundary, FreeSpace, Term
+from treecode.boundaries.wall import Wall
+
+__all__ = ["Boundary", "FreeSpace", "Term", "Wall"]
