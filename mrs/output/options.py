@@ -40,7 +40,8 @@ class Output:
         before 5.12; or one that was registered. Pictures, exports and fields are made of "vtkhdf".
     columns : dict of functions, optional
         Columns of log.csv besides those that it has, by name. A function takes the simulation, and
-        returns a number or a text.
+        returns a number or a text; if it has `labels`, it returns as many, and each has a column
+        NAME[LABEL]. `mrs.observables` has such functions.
     """
 
     directory: str | Path

@@ -36,7 +36,7 @@ _INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
 _WRITING = ("interval", "checkpoint_seconds", "formats", "columns")
 # Of the options of a scenario.
-_SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", *_WRITING)
+_SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", "observables", *_WRITING)
 
 
 @check.spelling
