@@ -1,6 +1,7 @@
 """Observables of a run that goes on, as columns of its log.
 
-Each is a function of the simulation. If it has `labels`, it gives one number for each of them.
+Each is a function of the simulation. If it has `labels`, it gives one number for each of them. Its
+method `require` refuses a simulation in which it cannot be measured.
 """
 
 from __future__ import annotations
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 OBSERVABLES: Registry[type[Any]] = Registry("observable", "kind")
 """Classes of functions of a simulation, by the names with which a TOML file asks for them."""
-
-_ALONG = np.array([[0.0, 0.0, 1.0]])  # a direction is D3
 
 
 def from_tables(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Callable[[Simulation], Any]]:
@@ -122,12 +121,13 @@ class PumpedFlux:
         self.direction = direction
         flow.pumped_flux(np.empty((0, 3)), np.empty((0, 3)), 1.0, direction)  # refuse it now
 
+    def require(self, sim: Simulation) -> None:
+        """Refuse a fluid without a boundary; whether it is a no-slip wall is not known here."""
+        if isinstance(sim.fluid.boundary, FreeSpace):
+            raise ValueError("the fluid must have a no-slip wall at z = 0, got no boundary")
+
     def __call__(self, sim: Simulation) -> float:
         """Return the pumped flux now."""
-        if isinstance(sim.fluid.boundary, FreeSpace):
-            raise ValueError(
-                "pumped_flux: the fluid must have a no-slip wall at z = 0, it has none"
-            )
         now = sim.now
         return flow.pumped_flux(now.points, now.loads, sim.fluid.viscosity, self.direction)
 
@@ -141,20 +141,27 @@ class _OfBody:
         Its name.
     """
 
+    of_directions = False
+
     def __init__(self, body: str) -> None:
         self.body = check.file_name("body", body)
 
-    def states(self, sim: Simulation) -> tuple[State, State]:
-        """Return the state at time zero, and now."""
+    def require(self, sim: Simulation) -> None:
+        """Refuse a simulation without the body, or a body without directions if it needs them."""
         bodies = {body.name: body for body in sim.bodies}
         body = bodies[check.one_of("body", self.body, bodies)]
+        if self.of_directions and not len(body.quaternions):
+            raise ValueError(f"body must have directions, {self.body!r} has none")
+
+    def states(self, sim: Simulation) -> tuple[State, State]:
+        """Return the state at time zero, and now."""
+        body = next(body for body in sim.bodies if body.name == self.body)
         return State(body.positions, body.quaternions), sim.body_state(body)
 
-    def directions(self, state: State) -> np.ndarray:
-        """Return the directions, (n, 3)."""
-        if not len(state.quaternions):
-            raise ValueError(f"body must have directions, {self.body!r} has none")
-        return rotations.rotate(state.quaternions, _ALONG)
+
+def _directions(state: State) -> np.ndarray:
+    """Return D3, (n, 3): the directions of swimmers, and of rods at their nodes."""
+    return rotations.rotate(state.quaternions, np.array([[0.0, 0.0, 1.0]]))
 
 
 @OBSERVABLES.register
@@ -188,10 +195,11 @@ class OrientationMemory(_OfBody):
     """
 
     kind = "orientation_memory"
+    of_directions = True
 
     def __call__(self, sim: Simulation) -> float:
         """Return the mean now."""
-        directions = [self.directions(state) for state in self.states(sim)]
+        directions = [_directions(state) for state in self.states(sim)]
         return motion.orientation_memory([0.0, 1.0], directions, "first")[1]
 
 
@@ -251,12 +259,13 @@ class OrientationCorrelation(_ByDistance):
     """
 
     kind = "orientation_correlation"
+    of_directions = True
 
     def __call__(self, sim: Simulation) -> np.ndarray:
         """Return the mean in each bin now, (k,)."""
         _, now = self.states(sim)
-        directions = self.directions(now)
-        return structure.orientation_correlation(now.positions, directions, self.bins, self.cell)
+        along = _directions(now)
+        return structure.orientation_correlation(now.positions, along, self.bins, self.cell)
 
 
 def _labels(values: np.ndarray) -> tuple[str, ...]:

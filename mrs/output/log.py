@@ -244,13 +244,15 @@ def _headings(name: str, column: Callable[[Simulation], Any]) -> list[str]:
 
 def _cells(name: str, column: Callable[[Simulation], Any], sim: Simulation) -> dict[str, Any]:
     """Return what a function puts into a row, by heading."""
-    headings, value = _headings(name, column), column(sim)
-    values = value if hasattr(column, "labels") else [value]
-    if np.shape(values)[:1] != (len(headings),):
+    value = column(sim)
+    if not hasattr(column, "labels"):
+        return {name: _cell(name, value)}
+    headings = _headings(name, column)
+    if np.shape(value) != (len(headings),):
         raise ValueError(
             f"columns[{name!r}] must give {len(headings)} numbers, one a label, got {value!r}"
         )
-    return {head: _cell(head, one) for head, one in zip(headings, values, strict=True)}
+    return {heading: _cell(heading, one) for heading, one in zip(headings, value, strict=True)}
 
 
 def _cell(name: str, value: Any) -> Any:

@@ -110,7 +110,7 @@ class Simulation:
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
         self.moment: Moment = Moment(0.0, 0, 0.0)
-        self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
+        self.trackers = [*([] if output is None else output.trackers(self)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
 
