@@ -1,6 +1,6 @@
 """Elastic rods and swimmers in very viscous fluid, by the method of regularized Stokeslets."""
 
-from mrs import rotations
+from mrs import observables, rotations
 from mrs.bodies import (
     BODIES,
     Body,
@@ -17,6 +17,7 @@ from mrs.bodies.geometry import Centerline
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Flow, Fluid, flows
 from mrs.forces import FORCES, Force, Steric
+from mrs.observables import OBSERVABLES
 from mrs.output.formats import FORMATS
 from mrs.output.frame_files import BodyFile
 from mrs.output.options import Output
@@ -40,6 +41,7 @@ __all__ = [
     "FORCES",
     "FORMATS",
     "INTEGRATORS",
+    "OBSERVABLES",
     "Backend",
     "Body",
     "BodyFile",
@@ -78,6 +80,7 @@ __all__ = [
     "geometry",
     "info",
     "lattice_suspension",
+    "observables",
     "random_suspension",
     "restart",
     "resume",

@@ -141,14 +141,20 @@ ALLOWED = {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
         "treecode.ranks",
     },
+    "mrs.observables": {
+        "mrs.check", "mrs.fluid.mobility", "mrs.observables", "mrs.output", "mrs.registry",
+        "mrs.rotations", "mrs.time.state",
+        "mrs.run.simulation",  # its type
+    },
     "mrs.output": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
         "mrs.time.interrupts", "treecode.version",
         "mrs.run.simulation",  # its type
     },
     "mrs.run": {
-        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.output",
-        "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks", "treecode.version",
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.observables",
+        "mrs.output", "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks",
+        "treecode.version",
     },
     "mrs.run.signals": {"treecode.ranks"},
     "mrs.scenarios": set(),  # found by name

@@ -204,7 +204,7 @@ class LogFile(FrameFile):
     when : Interval
         Between the rows.
     columns : dict of functions
-        The user's own, besides `COLUMNS`.
+        The user's own, besides `COLUMNS`. A function with `labels` fills a column for each.
     """
 
     def __init__(
@@ -212,12 +212,16 @@ class LogFile(FrameFile):
     ) -> None:
         super().__init__(path)
         self.when, self.columns = when, {**COLUMNS, **columns}
+        self._headings = [head for item in self.columns.items() for head in _headings(*item)]
+        twice = {head for head in self._headings if self._headings.count(head) > 1}
+        if twice:
+            raise ValueError(f"columns must have different headings, got twice {sorted(twice)}")
 
     def times(self, sim: Simulation) -> list[float]:
         lines = _lines(self.path)
         found = _times(self.path, lines)
-        if found and lines[0] != [*self.columns]:
-            has, wanted = ", ".join(lines[0]), ", ".join(self.columns)
+        if found and lines[0] != self._headings:
+            has, wanted = ", ".join(lines[0]), ", ".join(self._headings)
             raise DamagedError(self.path, f"has the columns {has}, not {wanted}")
         return found
 
@@ -226,13 +230,29 @@ class LogFile(FrameFile):
 
     def write(self, sim: Simulation) -> None:
         number = self.when.count(sim.time)
-        append(
-            self.path,
-            {
-                name: "" if number % _EVERY.get(name, 1) else _cell(name, column(sim))
-                for name, column in self.columns.items()
-            },
+        row: dict[str, Any] = {}
+        for name, column in self.columns.items():
+            row |= {name: ""} if number % _EVERY.get(name, 1) else _cells(name, column, sim)
+        append(self.path, row)
+
+
+def _headings(name: str, column: Callable[[Simulation], Any]) -> list[str]:
+    if not hasattr(column, "labels"):
+        return [name]
+    return [f"{name}[{label}]" for label in column.labels]
+
+
+def _cells(name: str, column: Callable[[Simulation], Any], sim: Simulation) -> dict[str, Any]:
+    """Return what a function puts into a row, by heading."""
+    value = column(sim)
+    if not hasattr(column, "labels"):
+        return {name: _cell(name, value)}
+    headings = _headings(name, column)
+    if np.shape(value) != (len(headings),):
+        raise ValueError(
+            f"columns[{name!r}] must give {len(headings)} numbers, one a label, got {value!r}"
         )
+    return {heading: _cell(heading, one) for heading, one in zip(headings, value, strict=True)}
 
 
 def _cell(name: str, value: Any) -> Any:

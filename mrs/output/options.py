@@ -17,7 +17,6 @@ from mrs.output.trackers import Tracker
 from mrs.time.interrupts import Interval
 
 if TYPE_CHECKING:
-    from mrs.bodies import Body
     from mrs.run.simulation import Simulation
 
 
@@ -40,7 +39,9 @@ class Output:
         before 5.12; or one that was registered. Pictures, exports and fields are made of "vtkhdf".
     columns : dict of functions, optional
         Columns of log.csv besides those that it has, by name. A function takes the simulation, and
-        returns a number or a text.
+        returns a number or a text. If it has `labels`, it returns as many, each for a column
+        NAME[LABEL]. If it has a method `require`, that is given the simulation before a run, and
+        raises ValueError if it cannot be measured. Those of `mrs.observables` have both.
     """
 
     directory: str | Path
@@ -71,16 +72,25 @@ class Output:
                 )
             check.function(f"columns[{name!r}]", function, "the simulation")
 
-    def trackers(self, bodies: Sequence[Body]) -> list[Tracker]:
+    def trackers(self, sim: Simulation) -> list[Tracker]:
         """Return the trackers that write a run; the first checkpoint comes before any work.
 
         Parameters
         ----------
-        bodies : sequence of Body
-            Of the run.
+        sim : Simulation
+
+        Raises
+        ------
+        ValueError
+            If a column cannot be measured in it.
         """
+        for name, column in self.columns.items():
+            try:
+                getattr(column, "require", lambda _: None)(sim)
+            except ValueError as error:
+                raise ValueError(f"columns[{name!r}]: {error}") from None
         directory, when = Path(self.directory), Interval(float(self.interval))
-        files = [FORMATS[name](directory, body) for name in self.formats for body in bodies]
+        files = [FORMATS[name](directory, body) for name in self.formats for body in sim.bodies]
         log = LogFile(directory / "log.csv", when, self.columns)
         return [
             Checkpoints(directory / run_directory.CHECKPOINT, self.checkpoint_seconds),

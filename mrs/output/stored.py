@@ -116,6 +116,11 @@ class StoredFrame:
         self._sources = _sources(self._parts)
         self._sums = self._mobility(self._sources, "auto")
 
+    @property
+    def loads(self) -> tuple[np.ndarray, np.ndarray]:
+        """Points that put loads on the fluid, (M, 3), and forces and torques there, (M, 6)."""
+        return self._sources.points, self._sources.loads
+
     def velocity(self, targets: np.ndarray) -> np.ndarray:
         """Return the velocity of the fluid, (M, 3).
 

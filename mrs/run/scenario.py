@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 
 from mrs import check
 from mrs.fluid.mobility import Backend
+from mrs.observables import columns
 from mrs.output.formats import FORMATS
 from mrs.output.options import Output
 from mrs.run.option_errors import explain
@@ -53,6 +54,11 @@ def _known(formats: list[str]) -> list[str]:
     return [check.one_of(f"formats[{i}]", name, FORMATS) for i, name in enumerate(formats)]
 
 
+def _measurable(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    columns.from_tables(tables)
+    return tables
+
+
 class Scenario(BaseModel):
     """Options of a scene; a subclass adds its own, and says how to build it.
 
@@ -81,8 +87,12 @@ class Scenario(BaseModel):
     formats: Annotated[list[str], AfterValidator(_known)] = Field(
         ["vtkhdf"], description="of trajectories; 'pvd' is for ParaView before 5.12"
     )
+    observables: Annotated[dict[str, dict[str, Any]], AfterValidator(_measurable)] = Field(
+        {}, description="columns of log.csv: kind and arguments of a class of mrs.observables"
+    )
     plugins: list[str] = Field(
-        [], description="Python files that register bodies, forces or formats of one's own"
+        [],
+        description="Python files that register bodies, forces, formats, observables of one's own",
     )
 
     def __init__(self, **options: Any) -> None:
@@ -117,7 +127,7 @@ class Scenario(BaseModel):
                 self.checkpoint_seconds,
                 overwrite,
                 self.formats,
-                self.log_columns,
+                {**self.log_columns, **columns.from_tables(self.observables)},
             )
         name = name_of(type(self))
         recipe = {} if name is None else {"scenario": name}

@@ -36,7 +36,7 @@ _INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
 _WRITING = ("interval", "checkpoint_seconds", "formats", "columns")
 # Of the options of a scenario.
-_SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", *_WRITING)
+_SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", "observables", *_WRITING)
 
 
 @check.spelling
@@ -110,7 +110,7 @@ class Simulation:
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
         self.moment: Moment = Moment(0.0, 0, 0.0)
-        self.trackers = [*([] if output is None else output.trackers(bodies)), *trackers]
+        self.trackers = [*([] if output is None else output.trackers(self)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
 

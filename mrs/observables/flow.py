@@ -1,0 +1,145 @@
+"""Fluxes and mean velocities of the fluid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from mrs import check
+
+Velocity = Callable[[np.ndarray], np.ndarray]
+"""From points, (n, 3), to velocities, (n, 3): as `Simulation.velocity`, or of `frame_velocity`."""
+
+_PARALLEL = 1e-12  # sine of the angle between sides that count as parallel
+
+
+@check.spelling
+class Rectangle:
+    """A part of a plane, with the points and weights of a Gauss-Legendre rule.
+
+    Parameters
+    ----------
+    corner : (3,) array_like
+    sides : (2, 3) array_like
+        Both sides from the corner. If they are not perpendicular, it is a parallelogram.
+    order : int, optional
+        Points along each side: polynomials up to degree ``2 order - 1`` along it are exact.
+
+    Attributes
+    ----------
+    normal : (3,) float64 ndarray
+        Unit vector along the cross product of the sides.
+    area : float
+    points : (order**2, 3) float64 ndarray
+    weights : (order**2,) float64 ndarray
+        Of a mean over the rectangle; their sum is 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the sides are parallel, or an argument has another shape.
+    """
+
+    def __init__(self, corner: ArrayLike, sides: ArrayLike, order: int = 16) -> None:
+        corner = check.vector("corner", corner)
+        first, second = check.shaped("sides", sides, (2, 3))
+        check.integer("order", order, 1, 1000)
+        across = np.cross(first, second)
+        self.area = float(np.linalg.norm(across))
+        if self.area <= _PARALLEL * np.linalg.norm(first) * np.linalg.norm(second):
+            raise ValueError(f"sides must not be parallel, got {sides!r}")
+        self.normal = across / self.area
+        nodes, weights = np.polynomial.legendre.leggauss(order)
+        s, t = np.meshgrid(0.5 + 0.5 * nodes, 0.5 + 0.5 * nodes, indexing="ij")
+        self.points = corner + s.reshape(-1, 1) * first + t.reshape(-1, 1) * second
+        self.weights = 0.25 * np.outer(weights, weights).ravel()
+
+
+def flux(velocity: Velocity, rectangle: Rectangle) -> float:
+    """Return the volume of fluid that flows through a rectangle, along its normal, per time.
+
+    Parameters
+    ----------
+    velocity : callable
+        From points, (n, 3), to velocities, (n, 3).
+    rectangle : Rectangle
+
+    Raises
+    ------
+    ValueError
+        If the velocity is not finite or has another shape.
+    """
+    (mean,) = velocity_profile(velocity, rectangle, [0.0])
+    return float(rectangle.area * rectangle.normal @ mean)
+
+
+def velocity_profile(velocity: Velocity, rectangle: Rectangle, heights: ArrayLike) -> np.ndarray:
+    """Return the mean velocity over a rectangle that is moved along its normal, (k, 3).
+
+    Parameters
+    ----------
+    velocity : callable
+        From points, (n, 3), to velocities, (n, 3).
+    rectangle : Rectangle
+        At height 0.
+    heights : (k,) array_like
+
+    Raises
+    ------
+    ValueError
+        If the velocity is not finite or has another shape.
+    """
+    heights = check.shaped("heights", heights, (np.size(heights),))
+    points = (rectangle.points + heights[:, None, None] * rectangle.normal).reshape(-1, 3)
+    values = check.vectors(
+        "velocity", velocity(points), len(points), lambda row: f"at {points[row]}"
+    )
+    return rectangle.weights @ values.reshape(len(heights), len(rectangle.weights), 3)
+
+
+def pumped_flux(
+    points: ArrayLike,
+    loads: ArrayLike,
+    viscosity: float,
+    direction: ArrayLike = (1.0, 0.0, 0.0),
+) -> float:
+    """Return the volume per time that loads pump along a no-slip wall at z = 0.
+
+    It flows through each whole plane across `direction`, from the wall to infinity. It is exact
+    for loads on blobs of any size, and does not include a background flow.
+
+    Parameters
+    ----------
+    points : (n, 3) array_like
+    loads : (n, 3) or (n, 6) array_like
+        Forces, or forces and torques, on the fluid there.
+    viscosity : float
+    direction : (3,) array_like, optional
+        Along the wall.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument has another shape, or `direction` is not along the wall.
+
+    Notes
+    -----
+    Q = sum_j [ h_j f_j . d + n_j . (e_z x d) / 2 ] / (pi mu) for forces f and torques n at heights
+    h: the far field of each is a stresslet, of which the flux through x = const does not depend on
+    the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and Smith, Blake & Gaffney
+    (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at two heights, of which
+    the symmetric half pumps nothing: so follows its factor of one half.
+    """
+    points = check.points("points", points)
+    count = len(points)
+    loads = check.shaped("loads", loads, (count, 3), (count, 6))
+    check.positive("viscosity", viscosity)
+    along = check.direction("direction", direction)
+    if along[2] != 0.0:
+        raise ValueError(f"direction must be along the wall, with z = 0, got {direction!r}")
+    pumped = points[:, 2] @ loads[:, :3] @ along
+    if loads.shape[1] == 6:
+        pumped += 0.5 * loads[:, 3:].sum(axis=0) @ np.cross([0.0, 0.0, 1.0], along)
+    return float(pumped / (np.pi * viscosity))

@@ -1,0 +1,188 @@
+"""Where bodies are, seen from each other: pair distribution, correlation by distance, density."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from mrs import check
+from mrs.observables.motion import unit_vectors
+
+
+def pair_distribution(
+    positions: ArrayLike, bins: ArrayLike, cell: ArrayLike | None = None
+) -> np.ndarray:
+    """Return g(r), (k,): pairs in each bin of distance, in units of those of an ideal gas.
+
+    Without a periodic cell the ideal gas fills the smallest box around the points with faces along
+    the axes. Pairs of which one point would be outside of it are accounted for exactly.
+
+    Parameters
+    ----------
+    positions : (n, 3) array_like
+        At least two; in a periodic cell anywhere.
+    bins : (k + 1,) array_like
+        Edges of the bins, increasing from 0 or more. A bin has its upper edge.
+    cell : (3,) or (3, 3) array_like, optional
+        Periodic box: lengths of its edges along the axes, or lattice vectors in rows.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument has another shape, or if bins reach beyond half the width of the cell, or
+        beyond the shortest edge of the box around the points.
+
+    Notes
+    -----
+    With a cell, g = pairs / [n (n - 1) (shell's volume) / V]. Without, the shell's volume is
+    multiplied by the mean over directions of (overlap of the box with itself moved by r) / V.
+    """
+    points, edges = check.points("positions", positions), bin_edges(bins)
+    count = len(points)
+    if count < 2:
+        raise ValueError(f"positions must be at least two points, got {count}")
+    if cell is None:
+        share = _share_in_box(np.ptp(points, axis=0), edges)
+    else:
+        share = np.diff(4.0 / 3.0 * np.pi * edges**3) / abs(np.linalg.det(lattice_of(cell)))
+    return _sums_over_pairs(points, np.ones((count, 1)), edges, cell) / (
+        count * (count - 1) * share
+    )
+
+
+def orientation_correlation(
+    positions: ArrayLike,
+    directions: ArrayLike,
+    bins: ArrayLike,
+    cell: ArrayLike | None = None,
+) -> np.ndarray:
+    """Return the mean of p_i . p_j over the pairs in each bin of distance, (k,); nan without pairs.
+
+    Parameters
+    ----------
+    positions : (n, 3) array_like
+    directions : (n, 3) array_like
+        Scaled to unit length.
+    bins : (k + 1,) array_like
+        As for `pair_distribution`.
+    cell : (3,) or (3, 3) array_like, optional
+        As for `pair_distribution`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument has another shape, a direction is zero, or if bins reach beyond half the
+        width of the cell.
+    """
+    points, edges = check.points("positions", positions), bin_edges(bins)
+    unit = unit_vectors("directions", check.rows("directions", directions, 3, len(points)))
+    pairs = _sums_over_pairs(points, np.ones((len(points), 1)), edges, cell)
+    products = _sums_over_pairs(points, unit, edges, cell)
+    return np.divide(products, pairs, out=np.full(len(pairs), np.nan), where=pairs > 0)
+
+
+def number_density(
+    positions: ArrayLike, edges: ArrayLike, area: float, axis: int = 2
+) -> np.ndarray:
+    """Return the number of points per volume in slabs across an axis, (k,).
+
+    Parameters
+    ----------
+    positions : (n, 3) array_like
+    edges : (k + 1,) array_like
+        Of the slabs, increasing.
+    area : float
+        Of a slab, across the axis.
+    axis : int, optional
+        0, 1 or 2.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument has another shape, or the edges do not increase.
+    """
+    points, edges = check.points("positions", positions), _increasing("edges", edges)
+    check.positive("area", area)
+    counts, _ = np.histogram(points[:, check.integer("axis", axis, 0, 2)], edges)
+    return counts / (area * np.diff(edges))
+
+
+def _increasing(name: str, value: ArrayLike) -> np.ndarray:
+    edges = check.shaped(name, value, (np.size(value),))
+    if len(edges) < 2 or (np.diff(edges) <= 0.0).any():
+        raise ValueError(f"{name} must be at least two numbers that increase, got {value!r}")
+    return edges
+
+
+def bin_edges(bins: ArrayLike) -> np.ndarray:
+    edges = _increasing("bins", bins)
+    if edges[0] < 0.0:
+        raise ValueError(f"bins must not be negative, got {edges[0]:g}")
+    return edges
+
+
+def lattice_of(cell: ArrayLike) -> np.ndarray:
+    """Return lattice vectors in rows."""
+    lattice = check.shaped("cell", cell, (3,), (3, 3))
+    lattice = np.diag(lattice) if lattice.ndim == 1 else lattice
+    if np.linalg.matrix_rank(lattice) < 3:
+        raise ValueError(f"cell must have a volume, got {cell!r}")
+    return lattice
+
+
+def _share_in_box(box: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return the part of the pairs of two random points in a box that is in each bin."""
+    if edges[-1] > box.min():
+        raise ValueError(
+            f"bins must end within the shortest edge {box.min():g} of the box around the "
+            f"positions, got {edges[-1]:g}; or is there a periodic cell?"
+        )
+    a, b, c = box
+    r = edges
+    # Mean overlap: abc - (ab + bc + ca) r/2 + 2 (a + b + c) r^2/(3 pi) - r^3/(4 pi)
+    overlaps = (
+        4.0 / 3.0 * np.pi * a * b * c * r**3
+        - np.pi / 2.0 * (a * b + b * c + c * a) * r**4
+        + 8.0 / 15.0 * (a + b + c) * r**5
+        - r**6 / 6.0
+    )
+    return np.diff(overlaps) / (a * b * c) ** 2
+
+
+def _sums_over_pairs(
+    points: np.ndarray, values: np.ndarray, edges: np.ndarray, cell: ArrayLike | None
+) -> np.ndarray:
+    """Return the sums of v_i . v_j over ordered pairs in each bin of distance, (k,)."""
+    numbers = np.arange(len(points))
+    others = points
+    if cell is not None:
+        points, others, numbers = _with_images(points, lattice_of(cell), edges[-1])
+    own, all_others = scipy.spatial.cKDTree(points), scipy.spatial.cKDTree(others)
+    sums = [
+        own.count_neighbors(all_others, edges, weights=(v, v[numbers]), cumulative=False)
+        for v in values.T
+    ]
+    return np.sum(sums, axis=0)[1:]  # the first has distances up to the first edge: 0 is a point
+
+
+def _with_images(
+    points: np.ndarray, lattice: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return points in the cell; them and their images within reach of it; the images' numbers."""
+    inverse = np.linalg.inv(lattice)
+    widths = 1.0 / np.linalg.norm(inverse, axis=0)  # between opposite faces
+    if reach > 0.5 * widths.min():
+        raise ValueError(
+            f"bins must end within half the width of the cell, {0.5 * widths.min():g}, "
+            f"got {reach:g}"
+        )
+    inside = points @ inverse
+    inside -= np.floor(inside)
+    places, numbers = inside, np.arange(len(points))
+    for axis, near in enumerate(reach / widths):
+        step = np.eye(3)[axis]
+        low, high = places[:, axis] <= near, places[:, axis] >= 1.0 - near
+        places = np.concatenate([places, places[low] + step, places[high] - step])
+        numbers = np.concatenate([numbers, numbers[low], numbers[high]])
+    return inside @ lattice, places @ lattice, numbers

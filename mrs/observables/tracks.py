@@ -1,0 +1,93 @@
+"""What observables are computed from, read from the files of a run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mrs import check
+from mrs.output.frames import trajectory_paths
+from mrs.output.stored import StoredFrame
+from mrs.output.trajectory import Trajectory
+
+_DIRECTIONS = ("orientation", "d3")  # of swimmers, of nodes of rods
+_FLAGELLUM = 1  # in the array "bead"
+
+
+class Tracks(NamedTuple):
+    """Positions and directions of one body in all frames."""
+
+    times: np.ndarray
+    """(T,)."""
+    positions: np.ndarray
+    """(T, n, 3); of swimmers, those of their bodies. Not wrapped into a periodic cell."""
+    directions: np.ndarray | None
+    """(T, n, 3): of swimmers, or D3 of the nodes of rods; None for tracers."""
+    cell: np.ndarray | None
+    """(3, 3), lattice vectors in rows, of a periodic run."""
+
+
+def tracks(directory: str | Path, body: str) -> Tracks:
+    """Return positions and directions of a body in all frames of a run.
+
+    Parameters
+    ----------
+    directory : path
+        Of the run, which may still go on.
+    body : str
+        Its name.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there are no trajectories.
+    ValueError
+        If there is no body of that name, or no frame yet.
+    """
+    paths = {path.stem: path for path in trajectory_paths(directory)}
+    with Trajectory(paths[check.one_of("body", body, paths)]) as file:
+        if not len(file):
+            raise ValueError(f"{file.path} has no frame yet")
+        cell = file.meta.get("cell")
+        lattice = None if cell is None else np.reshape(cell, (3, 3))
+        frames = [_frame(file, i, lattice) for i in range(len(file))]
+        times = file.times
+    positions, directions = zip(*frames, strict=True)
+    known = directions[0] is not None
+    return Tracks(times, np.stack(positions), np.stack(directions) if known else None, lattice)
+
+
+def frame_loads(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points that put loads on the fluid in a frame, (n, 3), and the loads, (n, 6).
+
+    Parameters
+    ----------
+    directory : path
+        Of the run.
+    frame : int, optional
+        Its number; the last by default.
+
+    Raises
+    ------
+    FileNotFoundError, IndexError, ValueError
+        As for `mrs.frame_velocity`.
+
+    Notes
+    -----
+    Forces and torques are stored in single precision.
+    """
+    return StoredFrame(directory, frame).loads
+
+
+def _frame(
+    file: Trajectory, i: int, lattice: np.ndarray | None
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return positions and directions in a frame."""
+    points, data = file.points(i), file.point_data(i)
+    if lattice is not None and "image" in data:
+        points = points + data["image"] @ lattice
+    own = data.get("bead", np.zeros(len(points))) != _FLAGELLUM
+    along = next((data[name] for name in _DIRECTIONS if name in data), None)
+    return points[own], None if along is None else along[own].astype(np.float64)
