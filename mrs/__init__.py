@@ -15,7 +15,7 @@ from mrs.bodies import (
 )
 from mrs.bodies.geometry import Centerline
 from mrs.bodies.layout import Layout
-from mrs.fluid import Backend, Flow, Fluid, flows
+from mrs.fluid import BOUNDARIES, Backend, Flow, Fluid, Wall, flows
 from mrs.forces import FORCES, Force, Steric
 from mrs.observables import OBSERVABLES
 from mrs.output.formats import FORMATS
@@ -38,6 +38,7 @@ from treecode.version import __version__
 
 __all__ = [
     "BODIES",
+    "BOUNDARIES",
     "FORCES",
     "FORMATS",
     "INTEGRATORS",
@@ -73,6 +74,7 @@ __all__ = [
     "Tracers",
     "Tracker",
     "TravellingWave",
+    "Wall",
     "WallTime",
     "__version__",
     "flows",

@@ -34,6 +34,10 @@ class Evaluation(NamedTuple):
     """Velocities of positions and angular velocities of triads, (P + Q, 3)."""
 
 
+class OutsideError(check.NotFiniteValueError):
+    """A point is not in the fluid, which may be due to too long a step."""
+
+
 class Scene:
     """Bodies in a viscous fluid, and the forces on them.
 
@@ -95,6 +99,7 @@ class Scene:
         )
         self.ranks = self.mobility.ranks
         self._set_scales()
+        self._require_inside(layout.points(layout.initial), 0.0)
         self._last: Evaluation | None = None
 
     def _set_scales(self) -> None:
@@ -127,6 +132,7 @@ class Scene:
 
     def _evaluate(self, time: float, state: State) -> Evaluation:
         points = self.layout.points(state)
+        self._require_inside(points, time)
         loads = self._loads(time, state, points)
         if check.computable(points, loads):
             motion = self._motion(time, points, loads)
@@ -135,6 +141,24 @@ class Scene:
         rates = self.layout.rates(time, state, motion)
         return Evaluation(time, state, points, loads, motion, rates)
 
+    def _require_inside(self, points: np.ndarray, time: float) -> None:
+        """Refuse points that are not in the fluid."""
+        rows = self.fluid.boundary.outside(points)
+        if len(rows):
+            row = int(rows[0])
+            raise OutsideError(
+                f"{self.layout.point_name(row)} must be in the fluid, within "
+                f"{self.fluid.boundary}, got {tuple(points[row].tolist())} at time {time:g}"
+            )
+
+    def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
+        """Return why a state cannot be: a point outside the fluid; None if it can."""
+        try:
+            self._require_inside(self.layout.points(state), time)
+        except OutsideError as error:
+            return error
+        return None
+
     def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
         """Return the loads of the bodies, and the forces between them."""
         loads = self.layout.loads(time, state)
@@ -142,7 +166,7 @@ class Scene:
         if self.forces and len(forced):
             touching = points[forced]
             for force in self.forces:
-                values = force.forces(time, touching, self.layout)
+                values = force.forces(time, touching, self.layout, self.fluid)
                 loads[forced, :3] += self._checked(force, values, time)
         return loads
 

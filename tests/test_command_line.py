@@ -363,7 +363,7 @@ def test_a_signal_waits_for_the_evaluation(waits):
     class Slow(mrs.forces.Force):
         kind = "slow"
 
-        def forces(self, time_, points, layout):
+        def forces(self, time_, points, layout, fluid):
             signal.raise_signal(signal.SIGINT)
             if waits:
                 time.sleep(1.01)

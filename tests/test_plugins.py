@@ -272,7 +272,7 @@ def test_what_a_force_gives_is_checked():
         def __init__(self, value):
             self.value = value
 
-        def forces(self, time, points, layout):
+        def forces(self, time, points, layout, fluid):
             return self.value
 
     with pytest.raises(

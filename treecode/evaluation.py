@@ -44,5 +44,6 @@ def evaluate(
         plan._search.sums = 1
     with plan.ranks.together():
         points = check.points("points", points)
+        plan.boundary.require_inside("points", points)
         strengths = check.rows("strengths", strengths, kernel.strength_size, len(points))
         return plan.set_points(points, targets).execute(strengths)

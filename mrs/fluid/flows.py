@@ -82,10 +82,38 @@ def _curl(gradient: np.ndarray) -> np.ndarray:
 
 
 @check.spelling
-def shear(rate: float) -> QuadraticFlow:
-    """Return U = (rate z, 0, 0)."""
+def shear(
+    rate: float,
+    direction: ArrayLike = (1.0, 0.0, 0.0),
+    gradient: ArrayLike = (0.0, 0.0, 1.0),
+    origin: ArrayLike = (0.0, 0.0, 0.0),
+) -> QuadraticFlow:
+    """Return U = rate ((x - origin) . gradient) direction; by default (rate z, 0, 0).
+
+    Over a `Wall` the gradient is its normal, and the origin one of its points.
+
+    Parameters
+    ----------
+    rate : float
+    direction, gradient : (3,) array_like, optional
+        Of any length, at right angles.
+    origin : (3,) array_like, optional
+        A point where the flow is zero.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the directions are not at right angles, or for anything that is not finite numbers.
+    """
     rate = check.number("rate", rate, -np.inf, np.inf)
-    return QuadraticFlow(gradient=[[0.0, 0.0, rate], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    along, across = check.direction("direction", direction), check.direction("gradient", gradient)
+    if abs(along @ across) > 1e-12:
+        raise ValueError(
+            f"direction and gradient must be at right angles, got {direction!r} and {gradient!r}"
+        )
+    matrix = rate * np.outer(along, across)
+    constant = 0.0 - matrix @ check.vector("origin", origin)
+    return QuadraticFlow(gradient=matrix, constant=constant)
 
 
 @check.spelling

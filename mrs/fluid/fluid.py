@@ -10,6 +10,13 @@ import numpy as np
 from mrs import check
 from mrs.fluid.flows import Flow
 from mrs.fluid.mobility import Boundary, FreeSpace
+from mrs.registry import Registry
+from treecode import Wall
+
+BOUNDARIES: Registry[type[Boundary]] = Registry("boundary", "kind")
+BOUNDARIES.register(Wall)
+
+_STILL = 1e-9  # part of the background's speed near a wall that it may have at the wall
 
 
 @check.spelling
@@ -26,7 +33,12 @@ class Fluid:
         Its motion without bodies: one of `mrs.flows`, or an object with their methods `velocity`
         and, for rods, `vorticity`.
     boundary : treecode.Boundary, optional
-        Walls; the fluid is everywhere by default.
+        For example `mrs.Wall`; the fluid is everywhere by default.
+
+    Raises
+    ------
+    ValueError, TypeError
+        For an argument that is out of its range; if the background flows at a wall.
     """
 
     viscosity: float = 1.0
@@ -47,6 +59,8 @@ class Fluid:
 
         if not isinstance(self.boundary, Boundary):
             raise TypeError(f"boundary must be a treecode.Boundary, got {self.boundary!r}")
+        if flow is not None and isinstance(self.boundary, Wall):
+            _require_still(flow, self.boundary)
 
     def flow(
         self,
@@ -62,3 +76,21 @@ class Fluid:
 
         value = getattr(self.background, what)(points, time)
         return check.vectors(f"background {what}", value, len(points), where)
+
+
+def _require_still(flow: Flow, wall: Wall) -> None:
+    """Refuse a background that is not zero at some points of a wall."""
+    places = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-0.7, 0.4], [30.0, -20.0]])
+    along, normal = wall.frame[:2], wall.frame[2]
+    points = np.array(wall.point) + places @ along
+    at_wall = check.vectors("background velocity", flow.velocity(points, 0.0), len(points), str)
+    above = check.vectors(
+        "background velocity", flow.velocity(points + normal, 0.0), len(points), str
+    )
+    speeds = np.linalg.norm(at_wall, axis=1)
+    row = int(np.argmax(speeds))
+    if speeds[row] > _STILL * np.linalg.norm(above, axis=1).max():
+        raise ValueError(
+            f"background must be zero at the wall, as mrs.flows.shear is at its origin, got "
+            f"velocity {at_wall[row]} at {points[row]}"
+        )

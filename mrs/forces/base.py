@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from mrs.bodies.layout import Layout
+from mrs.fluid import Fluid
 
 
 class Force:
@@ -20,7 +21,7 @@ class Force:
 
     kind: ClassVar[str]
 
-    def forces(self, time: float, points: np.ndarray, layout: Layout) -> np.ndarray:
+    def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the forces on the fluid, (F, 3), at the points that can have some.
 
         Parameters
@@ -30,5 +31,7 @@ class Force:
             Points of the bodies that put forces on the fluid, ``layout.forced``.
         layout : Layout
             Tells the body of each point.
+        fluid : Fluid
+            Its boundary may push as well.
         """
         raise NotImplementedError

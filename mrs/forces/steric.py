@@ -10,6 +10,7 @@ import scipy
 
 from mrs import check
 from mrs.bodies.layout import Layout
+from mrs.fluid import Fluid, Wall
 from mrs.forces.base import Force
 
 
@@ -20,7 +21,7 @@ class Steric(Force):
 
     F_ij = (strength / 2a) [(4 chi^2 a^2 - r^2) / (4 chi^2 a^2 - 4 a^2)]^4 r_ij, which is `strength`
     at contact, r = 2a. Points of one rod nearer than that along the rod do not repel each other,
-    nor do the two particles of one swimmer.
+    nor do the two particles of one swimmer. A wall repels each point as its mirror image would.
 
     Parameters
     ----------
@@ -44,9 +45,23 @@ class Steric(Force):
         check.positive("radius", self.radius)
         check.number("chi", self.chi, 1.0, 1e3)
 
-    def forces(self, time: float, points: np.ndarray, layout: Layout) -> np.ndarray:
+    def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the force on each point, (F, 3)."""
-        return self.between(points, *layout.contact_labels)
+        forces = self.between(points, *layout.contact_labels)
+        if isinstance(fluid.boundary, Wall):
+            forces += self.from_wall(points, fluid.boundary)
+        return forces
+
+    def from_wall(self, points: np.ndarray, wall: Wall) -> np.ndarray:
+        """Return the repulsion of points, (N, 3), by their mirror images in a wall."""
+        distance = 2.0 * wall.heights(points)
+        return self._push(np.abs(distance))[:, None] * np.outer(distance, wall.normal)
+
+    def _push(self, distance: np.ndarray) -> np.ndarray:
+        """Return the repulsion of points at some distances over the distance, (n,)."""
+        reach = 2.0 * self.chi * self.radius
+        nearness = np.maximum(reach**2 - distance**2, 0.0) / (reach**2 - 4.0 * self.radius**2)
+        return np.asarray(self.strength / (2.0 * self.radius) * nearness**4)
 
     def between(
         self, points: np.ndarray, pieces: np.ndarray, places: np.ndarray, rounds: np.ndarray
@@ -70,9 +85,7 @@ class Steric(Force):
         apart = (pieces[i] != pieces[j]) | (along > reach)
         i, j = i[apart], j[apart]
         between = points[i] - points[j]
-        distance2 = np.einsum("ni,ni->n", between, between)
-        nearness = (reach**2 - distance2) / (reach**2 - 4.0 * self.radius**2)
-        push = (self.strength / (2.0 * self.radius) * nearness**4)[:, None] * between
+        push = self._push(np.linalg.norm(between, axis=1))[:, None] * between
         forces = np.zeros_like(points)
         np.add.at(forces, i, push)
         np.subtract.at(forces, j, push)

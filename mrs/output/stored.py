@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, fields, is_dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs.fluid import Backend, Fluid, Mobility
+from mrs import check
+from mrs.fluid import BOUNDARIES, Backend, Fluid, Mobility
 from mrs.fluid.flows import Flow, QuadraticFlow
 from mrs.fluid.mobility import DIRECT, Boundary, FreeSpace
 from mrs.output import frames
@@ -24,20 +26,38 @@ def fluid_meta(fluid: Fluid, tolerance: float) -> dict[str, Any]:
     Parameters
     ----------
     fluid : Fluid
-        A background that is a `QuadraticFlow` is kept by its numbers. Any other one, and a
-        boundary, is kept by its name only.
+        A background that is a `QuadraticFlow`, and a boundary of `mrs.BOUNDARIES` that is a
+        dataclass, is kept by its numbers; any other one by its name only.
     tolerance : float
         Of the run's sums.
     """
     meta: dict[str, Any] = {"viscosity": fluid.viscosity, "tolerance": tolerance}
     background = fluid.background
     if not isinstance(fluid.boundary, FreeSpace):
-        meta["boundary"] = type(fluid.boundary).__qualname__
+        meta |= _boundary_meta(fluid.boundary)
     if background is not None:
         meta["background"] = type(background).__qualname__
     if type(background) is QuadraticFlow:
         meta |= {f"background {name}": getattr(background, name) for name in _FLOW}
     return meta
+
+
+def _boundary_meta(boundary: Boundary) -> dict[str, Any]:
+    """Return the name of a boundary, and its numbers if it can be made of them again."""
+    kind = type(boundary)
+    meta: dict[str, Any] = {"boundary": kind.__qualname__}
+    if kind in BOUNDARIES.values() and is_dataclass(boundary):
+        meta["boundary kind"] = next(name for name, own in BOUNDARIES.items() if own is kind)
+        meta |= {f"boundary {name}": value for name, value in asdict(boundary).items()}
+    return meta
+
+
+def _stored_boundary(meta: Mapping[str, Any]) -> Boundary | None:
+    """Return the boundary that a file holds, if it holds its numbers."""
+    kind = BOUNDARIES.get(meta.get("boundary kind", ""))
+    if kind is None or not is_dataclass(kind):
+        return None
+    return kind(**{field.name: meta[f"boundary {field.name}"] for field in fields(kind)})
 
 
 class FieldError(NamedTuple):
@@ -111,8 +131,8 @@ class StoredFrame:
         elif background is None:
             self.unknown = meta.get("background")
         self._background = background
-        self.unknown_boundary = meta.get("boundary") if boundary is None else None
-        self._boundary = boundary
+        self._boundary = boundary or _stored_boundary(meta)
+        self.unknown_boundary = meta.get("boundary") if self._boundary is None else None
         self._sources = _sources(self._parts)
         self._sums = self._mobility(self._sources, "auto")
 
@@ -127,7 +147,7 @@ class StoredFrame:
         Parameters
         ----------
         targets : (M, 3) float ndarray
-            Any points.
+            Any points; behind a wall the velocity is zero.
 
         Raises
         ------
@@ -177,9 +197,14 @@ class StoredFrame:
         return self._at(targets, sources, self._mobility(sources, DIRECT))
 
     def _at(self, targets: np.ndarray, sources: _Sources, sums: Mobility) -> np.ndarray:
-        values = sums.velocity(sources.points, sources.loads, targets)
+        targets = check.points("targets", targets)
+        values = np.zeros_like(targets)
+        inside = np.ones(len(targets), bool)
+        if self._boundary is not None:
+            inside[self._boundary.outside(targets)] = False
+        values[inside] = sums.velocity(sources.points, sources.loads, targets[inside])
         if self._background is not None:
-            values += self._background.velocity(targets, self.time)
+            values[inside] += self._background.velocity(targets[inside], self.time)
         return values
 
     def _mobility(self, sources: _Sources, backend: str) -> Mobility:

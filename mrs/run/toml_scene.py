@@ -37,7 +37,7 @@ from mrs.bodies import (
     lattice_suspension,
     random_suspension,
 )
-from mrs.fluid import Fluid, flows
+from mrs.fluid import BOUNDARIES, Fluid, flows
 from mrs.forces import FORCES, Force
 from mrs.run.scenario import Check, Scenario, ScenarioError
 from mrs.run.simulation import Simulation
@@ -90,8 +90,6 @@ Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
 Suspension = _one_of(random_suspension, lattice_suspension)
 Vectors = list[tuple[float, float, float]]
 
-_FLUID: Any = _call(Fluid, leave_out="boundary", background=Background | None)
-
 # Bodies whose options in TOML differ from the arguments of their class, and their making.
 _ROD_OPTIONS: Any = _call(
     Rods,
@@ -113,8 +111,7 @@ _SWIMMER_OPTIONS: Any = _call(
 class _Scene(Scenario):
     """Any fluid with any bodies and forces."""
 
-    # The type is made above from a function's signature, which mypy does not follow.
-    fluid: _FLUID = Field(_FLUID(), description="arguments of mrs.Fluid")  # type: ignore[valid-type]
+    fluid: Any  # `scene` says what it is
 
     def build(self, **common: Any) -> Simulation:
         """Return the scene."""
@@ -144,7 +141,12 @@ def scene() -> type[Scenario]:
     Its options are `fluid`, a list of tables for each kind of body, and a table for each kind of
     force, for example ``[[options.rods]]`` and ``[options.steric]``.
     """
-    fields: dict[str, Any] = {}
+    boundaries: Any = tuple(_call(boundary, kind) for kind, boundary in BOUNDARIES.items())
+    boundary: Any = Union[boundaries]  # noqa: UP007
+    fluid: Any = _call(Fluid, background=Background | None, boundary=(boundary | None, None))
+    fields: dict[str, Any] = {
+        "fluid": (fluid, Field(fluid(), description="arguments of mrs.Fluid"))
+    }
     for kind, body in BODIES.items():
         options: Any = _OPTIONS.get(kind) or _call(body)
         fields[kind] = list[options], Field([], description=f"arguments of {body.__name__}")
@@ -169,6 +171,10 @@ def _fluid(options: Any) -> Fluid:
     if background is not None:
         with _at("background"):
             arguments["background"] = getattr(flows, background.kind)(**background.arguments())
+    boundary = arguments.pop("boundary", None)
+    if boundary is not None:
+        with _at("boundary"):
+            arguments["boundary"] = BOUNDARIES[boundary.kind](**boundary.arguments())
     return Fluid(**arguments)
 
 

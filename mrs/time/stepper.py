@@ -70,6 +70,9 @@ class System(Protocol):
     def rates(self, time: float, state: State) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3)."""
 
+    def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
+        """Return why a state cannot be; None if it can."""
+
 
 class Watched:
     """A system that looks for something, such as a signal, before each evaluation.
@@ -89,6 +92,10 @@ class Watched:
         """Return velocities and angular velocities, (P + Q, 3)."""
         self._look()
         return self._system.rates(time, state)
+
+    def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
+        """Return why a state cannot be; None if it can."""
+        return self._system.refusal(time, state)
 
 
 class NotFiniteError(ArithmeticError):
@@ -194,7 +201,11 @@ class Stepper:
                 unit = _filled(unit, new - z, h * rates)
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
-                break
+                refused = system.refusal(time + h, state.moved(new))
+                if refused is None:
+                    break
+                ratio = math.inf
+                blamed.append(refused)
             lost.extend(_not_finite(new)[: 1 - len(lost)])
             self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
             retried = True

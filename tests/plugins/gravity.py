@@ -20,5 +20,5 @@ class Gravity(mrs.Force):
     def __init__(self, force: tuple[float, float, float]) -> None:
         self.force = np.array(force, float)
 
-    def forces(self, time, points, layout):
+    def forces(self, time, points, layout, fluid):
         return np.tile(self.force, (len(points), 1))

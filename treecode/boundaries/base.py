@@ -83,15 +83,31 @@ class Boundary:
         """
         raise NotImplementedError
 
+    def outside(self, points: np.ndarray) -> np.ndarray:
+        """Return the rows of points, (N, 3), that are not in the fluid; none by default."""
+        return np.empty(0, np.int64)
+
     def require_inside(self, name: str, points: np.ndarray) -> None:
-        """Refuse points, (N, 3), where there is no fluid; a ValueError names one by its row.
+        """Refuse points, (N, 3), that are not in the fluid.
 
         Parameters
         ----------
         name : str
             Of the points, for the message.
         points : (N, 3) ndarray
+
+        Raises
+        ------
+        ValueError
+            With the first of them and its row.
         """
+        rows = self.outside(points)
+        if len(rows):
+            row = int(rows[0])
+            raise ValueError(
+                f"{name} must be in the fluid, within {self}, got row {row}, "
+                f"{tuple(points[row].tolist())}"
+            )
 
     def bounded(self, kernel: Kernel) -> Any:
         """Return what is summed in the place of `kernel`: a kernel, or a `BoundedKernel`."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from treecode.kernels.wall_correction import (
 )
 
 
-@dataclass(frozen=True, init=False)
+@dataclass(frozen=True)
 class Wall(Boundary):
     """A plane wall at rest, at which the velocity is zero; the fluid is on one side.
 
@@ -50,13 +50,15 @@ class Wall(Boundary):
     0.0
     """
 
-    point: tuple[float, float, float]
-    normal: tuple[float, float, float]
+    kind: ClassVar[str] = "wall"
 
-    def __init__(self, point: Any = (0.0, 0.0, 0.0), normal: Any = (0.0, 0.0, 1.0)) -> None:
+    point: Any = (0.0, 0.0, 0.0)
+    normal: Any = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
         for name, array in (
-            ("point", check.vector("point", point)),
-            ("normal", check.direction("normal", normal)),
+            ("point", check.vector("point", self.point)),
+            ("normal", check.direction("normal", self.normal)),
         ):
             object.__setattr__(self, name, tuple(array.tolist()))
 
@@ -85,18 +87,11 @@ class Wall(Boundary):
             ),
         )
 
-    def require_inside(self, name: str, points: np.ndarray) -> None:
-        """Refuse points behind the wall."""
-        heights = self.heights(points)
+    def outside(self, points: np.ndarray) -> np.ndarray:
+        """Return the rows of points, (N, 3), that are behind the wall."""
         # Points on the wall may be behind it by rounding.
         rounding = 8.0 * np.finfo(float).eps * np.abs(points - np.array(self.point)).sum(axis=1)
-        behind = np.flatnonzero(heights < -rounding)
-        if len(behind):
-            row = int(behind[0])
-            raise ValueError(
-                f"{name} must be on the side of the wall to which its normal {self.normal} points, "
-                f"got row {row} = {tuple(points[row].tolist())}, behind it by {-heights[row]:.3g}"
-            )
+        return np.flatnonzero(self.heights(points) < -rounding)
 
     def heights(self, points: np.ndarray) -> np.ndarray:
         """Return the distances of points, (N, 3), from the wall, (N,); negative behind it."""
