@@ -29,6 +29,7 @@ from tests.cases.tolerance import SETS
 from treecode import methods
 from treecode.choice.model import COSTS
 from treecode.choice.probe import PROBE
+from treecode.kernels import wall_correction
 from treecode.methods.base import PRECISIONS
 from treecode.methods.direct import DirectSummation
 from treecode.methods.fmm import store
@@ -43,6 +44,9 @@ KERNELS = {
     "RegularizedStokesletRotlet": tc.RegularizedStokesletRotlet(epsilon=0.05),
     "Stokeslet": tc.Stokeslet(),
     "StokesletStresslet": tc.StokesletStresslet(),
+    "ForceWallCorrection": wall_correction.ForceWallCorrection(epsilon=0.01),
+    "WallCorrection": wall_correction.WallCorrection(epsilon=0.05),
+    "StokesletWallCorrection": wall_correction.StokesletWallCorrection(),
 }
 SIZES = 1500, 4000, 16_000
 DEGREES, MORE_DEGREES = (2, 4, 6, 8), {TAYLOR: (2, 5, 8, 12)}
@@ -181,7 +185,7 @@ def model(kernel: tc.Kernel) -> dict[str, Any]:
         "size": kernel.weight_size * kernel.value_size,
         "probe": float(f"{cases[len(SIZES) - 1].probe:.2g}"),
     }
-    for method in map(methods.get, methods.names()):
+    for method in filter(lambda method: method.takes(kernel), map(methods.get, methods.names())):
         for kind, fit_method in FITS.items():
             if isinstance(method, kind):
                 fitted[method.name] = fit_method(cases, method)

@@ -113,7 +113,7 @@ class Boundary:
         """Return what is summed in the place of `kernel`: a kernel, or a `BoundedKernel`."""
         terms = tuple(self.terms(kernel))
         alone = len(terms) == 1 and terms[0].alone
-        return terms[0].kernel if alone else BoundedKernel(kernel, terms)
+        return terms[0].kernel if alone else BoundedKernel(kernel, self, terms)
 
 
 class FreeSpace(Boundary):
@@ -131,10 +131,12 @@ class BoundedKernel(NamedTuple):
     ----------
     kernel : Kernel
         Of free space.
+    boundary : Boundary
     terms : tuple of Term
     """
 
     kernel: Kernel
+    boundary: Boundary
     terms: tuple[Term, ...]
 
     @property

@@ -20,7 +20,7 @@ import math
 from typing import NamedTuple
 
 from treecode._lanes import inverse_sqrt, where
-from treecode.kernels.base import SMALLEST
+from treecode.kernels.base import COLUMNS, SMALLEST
 from treecode.kernels.blob import Blob
 
 
@@ -34,6 +34,8 @@ class ForceWallCorrection(Blob):
     strength_size = 4
     weight_size = 4
     value_size = 4
+    derivatives = 2
+    contractions = ()
     weight_lengths = (0, 1, 1, 1)
     value_lengths = (1, 2, 2, 2)
     adds_to_flow = True
@@ -58,6 +60,23 @@ class ForceWallCorrection(Blob):
             acc[2] + k * dy + m * g2,
             acc[3] + k * dz + m * g3,
         )
+
+    def taylor(self, k, up, psi, chi, x, m, out):
+        # A = (2 chi - psi) f3 - h g . nabla psi
+        # B / 2 = (h g . nabla - f3) nabla psi - h g nabla^2 psi
+        f3, g1, g2, g3 = m[0, k], m[1, k], m[2, k], m[3, k]
+        k1, k2, k3 = up[0, k], up[1, k], up[2, k]
+        k11, k12, k13 = up[0, k1], up[0, k2], up[0, k3]
+        k22, k23, k33 = up[1, k2], up[1, k3], up[2, k3]
+        for t in range(COLUMNS):
+            p1, p2, p3 = psi[k1, t], psi[k2, t], psi[k3, t]
+            p11, p12, p13 = psi[k11, t], psi[k12, t], psi[k13, t]
+            p22, p23, p33 = psi[k22, t], psi[k23, t], psi[k33, t]
+            laplacian = p11 + p22 + p33
+            out[0, t] += f3 * (2.0 * chi[k, t] - psi[k, t]) - g1 * p1 - g2 * p2 - g3 * p3
+            out[1, t] += 2.0 * (g1 * (p11 - laplacian) + g2 * p12 + g3 * p13 - f3 * p1)
+            out[2, t] += 2.0 * (g1 * p12 + g2 * (p22 - laplacian) + g3 * p23 - f3 * p2)
+            out[3, t] += 2.0 * (g1 * p13 + g2 * p23 + g3 * (p33 - laplacian) - f3 * p3)
 
 
 class WallCorrection(Blob):
@@ -142,6 +161,8 @@ class StokesletWallCorrection(_Parameters):
     strength_size = 4
     weight_size = 4
     value_size = 4
+    derivatives = 2
+    contractions = ()
     weight_lengths = (0, 1, 1, 1)
     value_lengths = (1, 2, 2, 2)
     adds_to_flow = True
@@ -164,3 +185,18 @@ class StokesletWallCorrection(_Parameters):
             acc[2] + k * ey + m * g2,
             acc[3] + k * ez + m * g3,
         )
+
+    def taylor(self, k, up, psi, chi, x, m, out):
+        # A = psi f3 - h g . nabla psi, B / 2 = (h g . nabla - f3) nabla psi
+        f3, g1, g2, g3 = m[0, k], m[1, k], m[2, k], m[3, k]
+        k1, k2, k3 = up[0, k], up[1, k], up[2, k]
+        k11, k12, k13 = up[0, k1], up[0, k2], up[0, k3]
+        k22, k23, k33 = up[1, k2], up[1, k3], up[2, k3]
+        for t in range(COLUMNS):
+            p1, p2, p3 = psi[k1, t], psi[k2, t], psi[k3, t]
+            p11, p12, p13 = psi[k11, t], psi[k12, t], psi[k13, t]
+            p22, p23, p33 = psi[k22, t], psi[k23, t], psi[k33, t]
+            out[0, t] += f3 * psi[k, t] - g1 * p1 - g2 * p2 - g3 * p3
+            out[1, t] += 2.0 * (g1 * p11 + g2 * p12 + g3 * p13 - f3 * p1)
+            out[2, t] += 2.0 * (g1 * p12 + g2 * p22 + g3 * p23 - f3 * p2)
+            out[3, t] += 2.0 * (g1 * p13 + g2 * p23 + g3 * p33 - f3 * p3)

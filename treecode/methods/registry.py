@@ -79,11 +79,17 @@ def require_kernel(kernel: Any, backend: str) -> Any:
     """
     members = Method.members if backend == AUTO else get(backend).members
     others = [name for name, method in _methods.items() if method.any_kernel]
-    if isinstance(kernel, BoundedKernel):
-        for term in kernel.terms:
-            check.kernel(term.kernel, backend, members, others)
-        return kernel
-    return check.kernel(kernel, backend, members, others)
+    if not isinstance(kernel, BoundedKernel):
+        return check.kernel(kernel, backend, members, others)
+    for term in kernel.terms:
+        check.kernel(term.kernel, AUTO, Method.members, others)
+        if backend != AUTO and not get(backend).takes(term.kernel):
+            able_ones = ", ".join(repr(method.name) for method in able(kernel))
+            raise ValueError(
+                f"backend must be {able_ones} or {AUTO!r} within {kernel.boundary}, got "
+                f"{backend!r}, which cannot sum its term {type(term.kernel).__name__}"
+            )
+    return kernel
 
 
 class Choice:
