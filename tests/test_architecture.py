@@ -35,7 +35,8 @@ ALLOWED = {
     },
     "treecode.methods.base": {"treecode.check", "treecode.kernels.base", "treecode.ranks"},
     "treecode.methods.registry": {
-        "treecode.check", "treecode.kernels.base", "treecode.methods.base",
+        "treecode.boundaries.base", "treecode.boundaries.within", "treecode.check",
+        "treecode.kernels.base", "treecode.methods.base",
     },
     "treecode.methods.walk": {
         "treecode.kernels.base", "treecode.methods.base", "treecode.ranks", "treecode.threads",
@@ -104,7 +105,7 @@ ALLOWED = {
     "treecode.ranks": set(),
     "treecode.curve": set(),
     "treecode.shared_sum": {
-        "treecode.curve", "treecode.kernels.base", "treecode.methods.base",
+        "treecode.boundaries.base", "treecode.boundaries.within", "treecode.curve", "treecode.kernels.base", "treecode.methods.base",
         "treecode.methods.registry", "treecode.ranks", "treecode.sliced_sum", "treecode.timing",
     },
     "treecode.sliced_sum": {"treecode.methods.base", "treecode.ranks", "treecode.timing"},
@@ -116,10 +117,11 @@ ALLOWED = {
         "treecode.threads", "treecode.traversal",
     },
     "treecode.choice": {
-        "treecode.accuracy", "treecode.choice", "treecode.kernels.base", "treecode.methods",
+        "treecode.accuracy", "treecode.boundaries.base", "treecode.choice", "treecode.kernels.base", "treecode.methods",
         "treecode.ranks", "treecode.shared_sum",
     },
-    "treecode.boundary": {"treecode.kernels.base"},
+    "treecode.boundaries": {"treecode.boundaries", "treecode.check", "treecode.kernels"},
+    "treecode.boundaries.within": {"treecode.boundaries.base", "treecode.methods.base"},
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},
@@ -134,8 +136,8 @@ ALLOWED = {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rotations",
         "mrs.time.state",
     },
-    "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.forces", "mrs.registry"},
-    "mrs.fluid": {"mrs.check", "mrs.fluid"},
+    "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry"},
+    "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry", "treecode"},  # its boundaries
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
