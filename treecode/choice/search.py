@@ -116,7 +116,9 @@ class Search:
         return self.ranks.first(error.bound)
 
     def _takes_no_time(self, sources: np.ndarray, targets: np.ndarray) -> bool:
-        """Tell whether all sums together are so little that they are made directly."""
+        """Tell whether all sums together are so little that they are made directly, by pairs."""
+        if not hasattr(self.kernel, "pair"):
+            return False
         pairs = sources.shape[1] * targets.shape[1] * self.sums
         return pairs <= FEW and any(method.name == EXACT.backend for method in self.methods)
 
