@@ -19,6 +19,7 @@ ALLOWED = {
     "treecode._elements": {"treecode._jit", "treecode._lanes"},
     "treecode.kernels.base": {"treecode._jit", "treecode._lanes"},
     "treecode.kernels": {"treecode.kernels", "treecode._lanes", "treecode.check"},
+    "treecode.kernels.periodic": {"treecode.kernels.base"},
     "treecode.pairs": {"treecode._jit", "treecode._lanes", "treecode.kernels.base"},
     "treecode.memory": set(),
     "treecode.threads": set(),
@@ -46,8 +47,24 @@ ALLOWED = {
         "treecode.tree",
     },
     "treecode.methods.direct": {
-        "treecode.methods.base", "treecode.methods.registry", "treecode.methods.walk",
+        "treecode.kernels.base", "treecode.kernels.periodic", "treecode.methods.base",
+        "treecode.methods.ewald", "treecode.methods.registry", "treecode.methods.walk",
         "treecode.tree",
+    },
+    "treecode.methods.ewald.split": set(),
+    "treecode.methods.ewald.cells": set(),
+    "treecode.methods.ewald.short_part": {
+        "treecode._elements", "treecode._jit", "treecode._lanes", "treecode.pairs",
+    },
+    "treecode.methods.ewald.long_part": {"treecode._jit", "treecode.methods.ewald.split"},
+    "treecode.methods.ewald.tuning": {
+        "treecode.methods.ewald.cells", "treecode.methods.ewald.long_part",
+        "treecode.methods.ewald.split",
+    },
+    "treecode.methods.ewald": {
+        "treecode.check", "treecode.kernels.base", "treecode.kernels.periodic",
+        "treecode.methods.base", "treecode.methods.ewald", "treecode.ranks", "treecode.threads",
+        "treecode.timing", "treecode.traversal",
     },
     "treecode.methods.kitc": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.methods.treecode",
@@ -120,6 +137,9 @@ ALLOWED = {
         "treecode.ranks", "treecode.shared_sum",
     },
     "treecode.boundary": {"treecode.kernels.base"},
+    "treecode.boundaries": {
+        "treecode.boundaries", "treecode.boundary", "treecode.check", "treecode.kernels",
+    },
     "treecode.plan": {"treecode"},
     "treecode": {"treecode"},
     "mrs.check": {"treecode.check"},

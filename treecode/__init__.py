@@ -4,6 +4,7 @@ from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
 from treecode.accuracy import relative_error
+from treecode.boundaries.periodic import Periodic
 from treecode.boundary import Boundary, FreeSpace, Term
 from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.evaluation import evaluate
@@ -14,6 +15,7 @@ from treecode.kernels import (
     StokesletStresslet,
 )
 from treecode.kernels.base import Kernel
+from treecode.kernels.periodic import PeriodicKernel
 from treecode.locks import Lock
 from treecode.methods.base import Method
 from treecode.methods.direct import EXACT
@@ -30,6 +32,8 @@ __all__ = [
     "Kernel",
     "Lock",
     "Method",
+    "Periodic",
+    "PeriodicKernel",
     "Plan",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",

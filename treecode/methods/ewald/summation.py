@@ -14,7 +14,7 @@ from treecode.methods.ewald.cells import crowding, find_groups, make_grid, sort_
 from treecode.methods.ewald.long_part import apply_flow, from_waves, make_waves, to_waves
 from treecode.methods.ewald.short_part import ShortStokeslet, ShortStokesletRotlet, sum_neighbours
 from treecode.methods.ewald.tuning import (
-    SHARE,
+    TRANSFORMED,
     Task,
     cheapest_split,
     precision_of,
@@ -130,7 +130,7 @@ class Ewald:
 
         There are few transforms, each on one thread: the others sum pairs meanwhile.
         """
-        waves, tol = self._waves, SHARE * self.tol
+        waves, tol = self._waves, TRANSFORMED * self.tol
         transforms = -(-len(weights) // 2)
         modes = np.zeros((transforms, *waves.shape), np.complex128)
         smooth = np.empty((transforms, len(values)), np.complex128)

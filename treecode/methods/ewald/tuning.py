@@ -15,7 +15,8 @@ from treecode.methods.ewald.cells import summed_volume
 from treecode.methods.ewald.long_part import count_waves, grid_factor
 from treecode.methods.ewald.split import blob, multiplier, short_functions
 
-SHARE = 0.25  # of the tolerance, for the error of each cut-off, and of finufft
+_SHARE = 0.25  # of the tolerance, for the error of each cut-off,
+TRANSFORMED = 0.1  # and for what finufft is asked for: some of its versions miss that a little
 _SINGLE = 3e-6  # tolerance from which pairs are summed in singles,
 _SINGLE_UNIT = 2.0**-24  # whose rounding the kernel has to bear
 _SAMPLES = 400  # distances, and wave numbers, at which tails are integrated
@@ -89,7 +90,7 @@ def split_at(task: Task, xi: float) -> Split:
     )
     distance = wave_number = 0.0
     for pairs, waves, flow in list(kinds)[: 3 if task.size == 6 else 1]:
-        limit = (SHARE * task.tol) ** 2 * float(np.trapezoid(flow, all_k))
+        limit = (_SHARE * task.tol) ** 2 * float(np.trapezoid(flow, all_k))
         distance = max(distance, _end(r, pairs, limit))
         wave_number = max(wave_number, _end(k, waves, limit))
     return Split(xi, distance, wave_number)
@@ -97,7 +98,7 @@ def split_at(task: Task, xi: float) -> Split:
 
 def precision_of(task: Task, split: Split) -> type:
     """Return the type of numbers in which pairs are summed."""
-    resolved = _SINGLE_UNIT * split.distance <= SHARE * task.tol * task.epsilon
+    resolved = _SINGLE_UNIT * split.distance <= _SHARE * task.tol * task.epsilon
     return np.float32 if task.tol >= _SINGLE and resolved else np.float64
 
 
@@ -109,7 +110,7 @@ def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, 
     itemsize = np.dtype(precision_of(task, split)).itemsize
     volume = summed_volume(split.distance, crowding * task.targets)
     pairs = _PAIR[task.size, itemsize] * volume * crowding * task.sources * task.targets
-    tol = SHARE * task.tol
+    tol = TRANSFORMED * task.tol
     factor = grid_factor(tol)
     width = math.log(10.0 / tol) / (math.pi * math.sqrt(1.0 - 1.0 / factor))
     grid = np.prod(factor * (2.0 * count_waves(task.vectors, split.wave_number) + 1.0) + width)
