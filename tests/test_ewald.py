@@ -61,15 +61,15 @@ def test_it_is_the_lattice_sum_of_the_free_kernels(cell):
 
 
 @each_cell
-@pytest.mark.parametrize("xi", [None, 3.0, 9.0, 30.0])
-def test_it_is_the_sum_over_waves_of_the_blob(cell, xi):
+def test_it_is_the_sum_over_waves_of_the_blob(cell):
     """Also without a short part, and where the whole blob is in it; with a net force."""
     points, q = some(KINDS[1], cell, 20)
     exact = wave_sum(0.35, cell, points, q, points)
-    assert error(summed(periodic(KINDS[1], 0.35, cell), points, q, xi=xi), exact) < 1e-13
-    flow = summed(periodic(KINDS[0], 0.35, cell), points, q[:, :3], xi=xi)
-    exact = wave_sum(0.35, cell, points, q * [1, 1, 1, 0, 0, 0], points)
-    assert error(flow, exact[:, :3]) < 1e-13
+    flow = wave_sum(0.35, cell, points, q * [1, 1, 1, 0, 0, 0], points)[:, :3]
+    for xi in (None, 3.0, 9.0, 30.0):
+        assert error(summed(periodic(KINDS[1], 0.35, cell), points, q, xi=xi), exact) < 1e-13
+        values = summed(periodic(KINDS[0], 0.35, cell), points, q[:, :3], xi=xi)
+        assert error(values, flow) < 1e-13
 
 
 @each_kind
@@ -185,18 +185,17 @@ def clumped(n):
 
 
 SETS = {
-    "uniform": np.random.default_rng(0).random((1500, 3)),
-    "clumped": clumped(1500),
+    "uniform": np.random.default_rng(0).random((1000, 3)),
+    "clumped": clumped(1000),
     "few": np.random.default_rng(1).random((7, 3)),
     "one": np.full((1, 3), 0.4),
 }
 
 
 @each_kind
-@pytest.mark.parametrize("tol", [1e-3, 1e-5, 1e-8, 1e-11])
 @pytest.mark.parametrize("points", SETS)
 @pytest.mark.parametrize("epsilon", [1e-4, 0.02, 0.5])
-def test_tolerance_is_kept_before_anything_is_sampled(kind, tol, points, epsilon):
+def test_tolerance_is_kept_before_anything_is_sampled(kind, points, epsilon):
     """At the sources, and at other targets, where no self term hides what is left out."""
     points = SETS[points]
     cell = np.diag([1.0, 1.2, 0.9])
@@ -205,13 +204,14 @@ def test_tolerance_is_kept_before_anything_is_sampled(kind, tol, points, epsilon
     apart = np.random.default_rng(4).random((100, 3))
     for targets in (points[:100], apart):
         exact = tc.evaluate(kernel, points, q, targets, backend="direct")
-        assert error(summed(kernel, points, q, targets, tol=tol), exact) <= tol
+        for tol in (1e-3, 1e-5, 1e-8, 1e-11):
+            assert error(summed(kernel, points, q, targets, tol=tol), exact) <= tol
 
 
 @each_kind
 @pytest.mark.parametrize("backend", ["auto", "ewald"])
 def test_plans_keep_a_tolerance(kind, backend):
-    points, q = SETS["clumped"], some(kind, CUBE, 1500)[1]
+    points, q = SETS["clumped"], some(kind, CUBE, 1000)[1]
     kernel = periodic(kind, 0.01, CUBE)
     for tol in (1e-4, 1e-9):
         plan = tc.Plan(kernel, backend, tol=tol).set_points(points)

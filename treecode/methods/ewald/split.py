@@ -22,8 +22,9 @@ import math
 import numpy as np
 from scipy.special import erfc, exp1, expn, kv
 
-_SERIES = 2.0  # (epsilon xi)^2 up to which the series of the multiplier is used,
-_NODES = 60  # and of the Gauss rule beyond
+_SERIES = 2.0  # (epsilon xi)^2 up to which the series of the multiplier is used;
+_NODES, _RULE = 0.5 * np.array(np.polynomial.legendre.leggauss(60))  # beyond a Gauss rule
+_NODES += 0.5  # from 0 to 1
 
 
 def short_functions(r2: np.ndarray, epsilon: float, xi: float) -> list[np.ndarray]:
@@ -45,9 +46,7 @@ def multiplier(k: np.ndarray, epsilon: float, xi: float) -> np.ndarray:
     s0 = (k / (2.0 * xi)) ** 2
     a = (epsilon * xi) ** 2
     if a > _SERIES:  # the blob's own transform less that of the short part, which is small
-        nodes, rule = np.polynomial.legendre.leggauss(_NODES)
-        s = 0.5 * (nodes + 1.0)
-        short = np.exp(-np.multiply.outer(s0, s) - a / s) @ (0.5 * rule * s)
+        short = np.exp(-np.multiply.outer(s0, _NODES) - a / _NODES) @ (_RULE * _NODES)
         return blob(epsilon * k) - s0**2 * short
     decay = np.exp(-s0)
     total, factor, n = (1.0 + s0) * decay, 1.0, 0

@@ -21,7 +21,8 @@ _SINGLE = 3e-6  # tolerance from which pairs are summed in singles,
 _SINGLE_UNIT = 2.0**-24  # whose rounding the kernel has to bear
 _SAMPLES = 400  # distances, and wave numbers, at which tails are integrated
 _LONGEST = 0.76 * 2.0 * math.pi  # from this wave number on the integral is the sum over a cube
-_SPLITS = tuple(2.0 ** (0.25 * n) for n in range(4, 41))  # that are tried, in a unit cell
+_SPLITS = tuple(2.0 ** (0.25 * n) for n in range(4, 41))  # that are tried, from the first,
+_WORSE = 5  # until so many in a row were no better than the best
 
 # Seconds on one thread of an EPYC (Zen 3, AVX2): ratios are what matters. Pairs by values and bytes
 # of a number, with what is done around them; finufft's by points and grid of its kernel, and by
@@ -121,17 +122,13 @@ def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, 
 
 def cheapest_split(task: Task, crowding: Callable[[float], float] = lambda _: 1.0) -> Split:
     """Return the split that should take the least time; `crowding` is that within a distance."""
-
-    def seconds(split: Split) -> float:
-        return sum(seconds_of(task, split, crowding(split.distance)))
-
-    best, least = None, math.inf
+    best, least, worse = None, math.inf, 0
     for xi in _SPLITS:
         split = split_at(task, xi)
-        taken = seconds(split)
+        taken = sum(seconds_of(task, split, crowding(split.distance)))
         if taken < least:
-            best, least = split, taken
-        elif taken > 4.0 * least:
+            best, least, worse = split, taken, 0
+        elif (worse := worse + 1) == _WORSE:
             break
     assert best is not None
     return best
