@@ -17,8 +17,11 @@ from scipy.interpolate import make_interp_spline
 from treecode._jit import compiled, inlined
 from treecode.methods.ewald.split import multiplier
 
-_COARSE = 1e-9  # error from which on finufft's smaller grid serves
-_FINEST = 1.01e-14  # error that finufft is asked for at least: its widest kernel has that
+# Errors from which on finufft serves in singles, and in doubles on its coarser grid; and what it is
+# asked for at least, since its kernels have that: it errs by less on the coarser grid.
+_SINGLE, _SINGLE_FINEST = 1e-5, 2e-5
+_COARSE, _COARSE_FINEST = 1e-10, 3e-10
+_FINEST = 1.01e-14
 _KNOTS, _DEGREE = 2000, 7  # of the spline of the multiplier
 
 
@@ -73,26 +76,61 @@ def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -
     return Waves(counts, reciprocal, chi)
 
 
-def to_waves(places: np.ndarray, strengths: np.ndarray, waves: Waves, tol: float) -> np.ndarray:
+class Precision(NamedTuple):
+    """How finufft is called.
+
+    Attributes
+    ----------
+    dtype : type
+        Of the transforms.
+    error : float
+        That it is asked for.
+    factor : float
+        By how much its grid is finer than the waves ask for, in each direction.
+    """
+
+    dtype: type
+    error: float
+    factor: float
+
+    @property
+    def width(self) -> float:
+        """Points of the grid, in each direction, to which a point is spread."""
+        return -math.log(self.error) / (math.pi * math.sqrt(1.0 - 1.0 / self.factor))
+
+
+def precision_for(tol: float) -> Precision:
+    """Return what serves for an error of the flow, which is smaller than that of its waves."""
+    if tol >= _SINGLE:
+        return Precision(np.complex64, max(tol, _SINGLE_FINEST), 1.25)
+    if tol >= _COARSE:
+        return Precision(np.complex128, max(tol, _COARSE_FINEST), 1.25)
+    return Precision(np.complex128, max(0.3 * tol, _FINEST), 2.0)
+
+
+def to_waves(
+    places: np.ndarray, strengths: np.ndarray, shape: tuple[int, ...], precision: Precision
+) -> np.ndarray:
     """Return the transform of complex strengths, (N,), at points in parts of lattice vectors."""
-    return _transform(finufft.nufft3d1, places, strengths, tol, n_modes=waves.shape, isign=-1)
+    return _transform(finufft.nufft3d1, places, strengths, precision, isign=-1, n_modes=shape)
 
 
-def from_waves(places: np.ndarray, modes: np.ndarray, tol: float) -> np.ndarray:
+def from_waves(places: np.ndarray, modes: np.ndarray, precision: Precision) -> np.ndarray:
     """Return the sum of waves, (M,), at points in parts of lattice vectors."""
-    return _transform(finufft.nufft3d2, places, modes, tol, isign=1)
-
-
-def grid_factor(tol: float) -> float:
-    """Return by how much finufft's grid is finer than the waves ask for, in each direction."""
-    return 1.25 if tol >= _COARSE else 2.0
+    return _transform(finufft.nufft3d2, places, modes, precision, isign=1)
 
 
 def _transform(
-    function: Callable, places: np.ndarray, data: np.ndarray, tol: float, **options: Any
+    function: Callable,
+    places: np.ndarray,
+    data: np.ndarray,
+    precision: Precision,
+    **options: Any,
 ) -> np.ndarray:
-    angles = 2.0 * math.pi * places - math.pi  # of both transforms: signs of waves cancel
-    options |= {"nthreads": 1, "upsampfac": grid_factor(tol), "eps": max(tol, _FINEST)}
+    data = data.astype(precision.dtype, copy=False)
+    # Signs of waves, from angles that begin at -pi, cancel on the way back.
+    angles = (2.0 * math.pi * places - math.pi).astype(data.real.dtype, copy=False)
+    options |= {"eps": precision.error, "upsampfac": precision.factor, "nthreads": 1}
     return np.asarray(function(*angles, data, **options))
 
 

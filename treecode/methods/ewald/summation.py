@@ -11,13 +11,18 @@ import numpy as np
 
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.ewald.cells import crowding, find_groups, make_grid, sort_points
-from treecode.methods.ewald.long_part import apply_flow, from_waves, make_waves, to_waves
+from treecode.methods.ewald.long_part import (
+    apply_flow,
+    from_waves,
+    make_waves,
+    precision_for,
+    to_waves,
+)
 from treecode.methods.ewald.short_part import ShortStokeslet, ShortStokesletRotlet, sum_neighbours
 from treecode.methods.ewald.tuning import (
-    TRANSFORMED,
     Task,
     cheapest_split,
-    precision_of,
+    pair_precision,
     seconds_of,
     split_at,
 )
@@ -130,22 +135,22 @@ class Ewald:
 
         There are few transforms, each on one thread: the others sum pairs meanwhile.
         """
-        waves, tol = self._waves, TRANSFORMED * self.tol
+        waves, precision = self._waves, precision_for(self.tol)
         transforms = -(-len(weights) // 2)
-        modes = np.zeros((transforms, *waves.shape), np.complex128)
-        smooth = np.empty((transforms, len(values)), np.complex128)
+        modes: np.ndarray = np.zeros((transforms, *waves.shape), precision.dtype)
+        smooth: np.ndarray = np.empty((transforms, len(values)), precision.dtype)
 
         def forward(t: int) -> None:
             real, *imaginary = weights[2 * t : 2 * t + 2]
             pair = real + 1j * (imaginary[0] if imaginary else 0.0)
-            modes[t] = to_waves(self._sources.places, pair, waves, tol)
+            modes[t] = to_waves(self._sources.places, pair, waves.shape, precision)
 
         def apply(some: slice) -> None:
             of_waves = waves.counts, waves.reciprocal, waves.chi
             apply_flow(modes, *of_waves, some.start, some.stop)
 
         def backward(t: int) -> None:
-            smooth[t] = from_waves(self._targets.places, modes[t], tol)
+            smooth[t] = from_waves(self._targets.places, modes[t], precision)
 
         def sum_pairs(groups: np.ndarray) -> None:
             pairs.append(self._sum_pairs(weights, groups, values))
@@ -201,7 +206,7 @@ class Ewald:
             self._targets.places,
             self._targets.order,
             groups,
-            np.empty(0, precision_of(task, split)),
+            np.empty(0, pair_precision(task, split)),
             values,
         )
         return pairs

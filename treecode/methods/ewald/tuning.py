@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from treecode.methods.ewald.cells import summed_volume
-from treecode.methods.ewald.long_part import count_waves, grid_factor
+from treecode.methods.ewald.long_part import count_waves, precision_for
 from treecode.methods.ewald.split import blob, multiplier, short_functions
 
-_SHARE = 0.25  # of the tolerance, for the error of each cut-off,
-TRANSFORMED = 0.1  # and for what finufft is asked for: some of its versions miss that a little
+_SHARE = 0.25  # of the tolerance, for the error of each cut-off
 _SINGLE = 3e-6  # tolerance from which pairs are summed in singles,
 _SINGLE_UNIT = 2.0**-24  # whose rounding the kernel has to bear
 _SAMPLES = 400  # distances, and wave numbers, at which tails are integrated
@@ -24,11 +23,11 @@ _LONGEST = 0.76 * 2.0 * math.pi  # from this wave number on the integral is the 
 _SPLITS = tuple(2.0 ** (0.25 * n) for n in range(4, 41))  # that are tried, from the first,
 _WORSE = 5  # until so many in a row were no better than the best
 
-# Seconds on one thread of an EPYC (Zen 3, AVX2): ratios are what matters. Pairs by values and bytes
-# of a number, with what is done around them; finufft's by points and grid of its kernel, and by
-# points of its own grid. No clock is asked, or a choice would depend on it.
+# Seconds on one thread of an EPYC (Zen 3, AVX2), of which ratios matter; no clock is asked, or a
+# choice would depend on it. Of a pair by values and bytes of a number, with what is done around it;
+# of finufft by bytes of a complex number, for a point of its kernel and for one of its own grid.
 _PAIR = {(3, 8): 2.0e-8, (3, 4): 7.5e-9, (6, 8): 2.8e-8, (6, 4): 1.5e-8}
-_SPREAD, _GRID = 8.5e-10, 5.5e-8
+_WAVE = {16: (8.5e-10, 5.5e-8), 8: (4.5e-10, 1.8e-8)}
 
 
 class Task(NamedTuple):
@@ -97,7 +96,7 @@ def split_at(task: Task, xi: float) -> Split:
     return Split(xi, distance, wave_number)
 
 
-def precision_of(task: Task, split: Split) -> type:
+def pair_precision(task: Task, split: Split) -> type:
     """Return the type of numbers in which pairs are summed."""
     resolved = _SINGLE_UNIT * split.distance <= _SHARE * task.tol * task.epsilon
     return np.float32 if task.tol >= _SINGLE and resolved else np.float64
@@ -108,16 +107,15 @@ def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, 
 
     `crowding` is by how much there are more pairs than if points were spread evenly.
     """
-    itemsize = np.dtype(precision_of(task, split)).itemsize
+    itemsize = np.dtype(pair_precision(task, split)).itemsize
     volume = summed_volume(split.distance, crowding * task.targets)
     pairs = _PAIR[task.size, itemsize] * volume * crowding * task.sources * task.targets
-    tol = TRANSFORMED * task.tol
-    factor = grid_factor(tol)
-    width = math.log(10.0 / tol) / (math.pi * math.sqrt(1.0 - 1.0 / factor))
-    grid = np.prod(factor * (2.0 * count_waves(task.vectors, split.wave_number) + 1.0) + width)
-    spread = _SPREAD * width**3 * (task.sources + task.targets)
-    transforms = -(-task.size // 2)
-    return pairs, transforms * (spread + 2.0 * _GRID * float(grid))
+    precision = precision_for(task.tol)
+    spread, grid = _WAVE[np.dtype(precision.dtype).itemsize]
+    waves = 2.0 * count_waves(task.vectors, split.wave_number) + 1.0
+    each = spread * precision.width**3 * (task.sources + task.targets)
+    each += 2.0 * grid * float(np.prod(precision.factor * waves + precision.width))
+    return pairs, -(-task.size // 2) * each
 
 
 def cheapest_split(task: Task, crowding: Callable[[float], float] = lambda _: 1.0) -> Split:
