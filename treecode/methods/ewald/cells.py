@@ -14,7 +14,7 @@ import numpy as np
 
 _SLICES = 4  # small cells for the width of a row: ends of ranges are found to that
 _WIDTHS = range(1, 9)  # rows within the cut-off
-_COPY = 1.5  # pairs that take as long as to copy a source
+_COPY, _ROW = 1.5, 8.0  # pairs that take as long as to copy a source, or to find those of a row
 _FEWEST = 64  # small cells are no more than twice as many as points, or so many
 _MOST_TARGETS = 128  # in a group, which one thread takes
 _COUNTED = 40_000  # points by which crowding is measured,
@@ -45,7 +45,7 @@ class Grid(NamedTuple):
 def make_grid(vectors: np.ndarray, cut_off: float, sources: int, targets: int) -> Grid:
     """Return small cells of a cell of volume 1, for a cut-off within which points interact."""
     heights = 1.0 / np.linalg.norm(np.linalg.inv(vectors), axis=0)
-    width = _row_width(cut_off, targets)
+    width = _row_width(cut_off, sources, targets)
     shape = np.maximum(1, (heights / width).astype(np.int64))
     shape[2] *= _SLICES
     most = max(_FEWEST, 2 * (sources + targets))
@@ -54,20 +54,24 @@ def make_grid(vectors: np.ndarray, cut_off: float, sources: int, targets: int) -
     return Grid(vectors, shape, *_rows_within(vectors, shape, cut_off))
 
 
-def summed_volume(cut_off: float, density: float) -> float:
-    """Return in what volume sources are summed for a target; copying counts too."""
-    return _volume(_row_width(cut_off, density), cut_off, density)
+def pairs_of_a_target(cut_off: float, sources: float, targets: float) -> float:
+    """Return the pairs that a target takes as long as, of so many points in the cell."""
+    width = _row_width(cut_off, sources, targets)
+    return _pairs(width, cut_off, sources, targets)
 
 
-def _row_width(cut_off: float, density: float) -> float:
+def _row_width(cut_off: float, sources: float, targets: float) -> float:
     """Return how wide rows should be: wide ones sum in vain, narrow ones copy sources in vain."""
-    return min((cut_off / n for n in _WIDTHS), key=lambda width: _volume(width, cut_off, density))
+    widths = (cut_off / n for n in _WIDTHS)
+    return min(widths, key=lambda width: _pairs(width, cut_off, sources, targets))
 
 
-def _volume(width: float, c: float, density: float) -> float:
-    """Return the volume within a cut-off of a cube, and what copying its sources adds."""
+def _pairs(width: float, c: float, sources: float, targets: float) -> float:
+    """Return the pairs within a cut-off of a cube, and what finding and copying sources adds."""
     volume = width**3 + 6.0 * width**2 * c + math.pi * c**2 * (3.0 * width + 4.0 / 3.0 * c)
-    return volume * (1.0 + _COPY / max(1.0, density * width**3))
+    rows = (2.0 * c / width + 2.0) ** 2
+    once = _COPY * volume * sources + _ROW * rows
+    return volume * sources + once / max(1.0, targets * width**3)
 
 
 def _rows_within(

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from treecode.methods.ewald.cells import summed_volume
+from treecode.methods.ewald.cells import pairs_of_a_target
 from treecode.methods.ewald.long_part import count_waves, precision_for
 from treecode.methods.ewald.split import blob, multiplier, short_functions
 
@@ -26,8 +26,8 @@ _WORSE = 5  # until so many in a row were no better than the best
 # Seconds on one thread of an EPYC (Zen 3, AVX2), of which ratios matter; no clock is asked, or a
 # choice would depend on it. Of a pair by values and bytes of a number, with what is done around it;
 # of finufft by bytes of a complex number, for a point of its kernel and for one of its own grid.
-_PAIR = {(3, 8): 2.0e-8, (3, 4): 7.5e-9, (6, 8): 2.8e-8, (6, 4): 1.5e-8}
-_WAVE = {16: (8.5e-10, 5.5e-8), 8: (4.5e-10, 1.8e-8)}
+_PAIR = {(3, 8): 1.4e-8, (3, 4): 6.7e-9, (6, 8): 2.1e-8, (6, 4): 9.0e-9}
+_WAVE = {16: (8.5e-10, 5.5e-8), 8: (6.0e-10, 3.2e-8)}
 
 
 class Task(NamedTuple):
@@ -108,8 +108,10 @@ def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, 
     `crowding` is by how much there are more pairs than if points were spread evenly.
     """
     itemsize = np.dtype(pair_precision(task, split)).itemsize
-    volume = summed_volume(split.distance, crowding * task.targets)
-    pairs = _PAIR[task.size, itemsize] * volume * crowding * task.sources * task.targets
+    densities = crowding * task.sources, crowding * task.targets
+    pairs = (
+        _PAIR[task.size, itemsize] * task.targets * pairs_of_a_target(split.distance, *densities)
+    )
     precision = precision_for(task.tol)
     spread, grid = _WAVE[np.dtype(precision.dtype).itemsize]
     waves = 2.0 * count_waves(task.vectors, split.wave_number) + 1.0
