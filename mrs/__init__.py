@@ -15,7 +15,7 @@ from mrs.bodies import (
 )
 from mrs.bodies.geometry import Centerline
 from mrs.bodies.layout import Layout
-from mrs.fluid import BOUNDARIES, Backend, Flow, Fluid, Wall, flows
+from mrs.fluid import BOUNDARIES, Backend, Flow, Fluid, Periodic, Wall, flows
 from mrs.forces import FORCES, Force, Steric
 from mrs.observables import OBSERVABLES
 from mrs.output.formats import FORMATS
@@ -60,6 +60,7 @@ __all__ = [
     "Moment",
     "Never",
     "Output",
+    "Periodic",
     "Profile",
     "Rods",
     "Scenario",

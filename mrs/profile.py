@@ -26,6 +26,7 @@ STAGES = {
     "downward": "from cubes to their children",
     "near": "points to points",
     "far": "expansions to points",
+    "waves": "of periodic sums: strengths to waves, and waves to points",
     "walk": "the rest of the walk down the tree; all of it without a counter of cycles",
     "sharing": "targets divided among ranks",
     "waiting": "for the slowest rank",

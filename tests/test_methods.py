@@ -21,6 +21,7 @@ from treecode.methods.base import KEYWORDS, Method, Offer
 
 ROOT = Path(__file__).parents[1]
 KERNEL = tc.RegularizedStokeslet(epsilon=0.01)
+PERIODIC = tc.PeriodicKernel(KERNEL, ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 
 @pytest.fixture(autouse=True)
@@ -250,7 +251,7 @@ def test_defaults_are_what_is_declared(name):
     for key, value in values.items():
         assert method.parameters[key].check(key, value) == value
     choice = tc.Choice(name, **values)
-    plan = tc.Plan(KERNEL)
+    plan = tc.Plan(KERNEL if method.takes(KERNEL) else PERIODIC)
     plan.use(choice)
     points = np.random.default_rng(2).random((20, 3))
     plan.set_points(points)
@@ -274,6 +275,7 @@ def test_defaults_are_what_is_declared(name):
         ),
         (tc.Choice("fmm", tol=1e-5, width=1.0 / 3.0), "fmm(1e-05)"),
         (tc.Choice("fmm", tol=10.0**-2.5, degree=4), "fmm(0.0032)"),
+        (tc.Choice("ewald", tol=1e-5, xi=1.0 / 3.0), "ewald(1e-05)"),
     ],
 )
 def test_a_choice_goes_through_json(choice, text):

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from tests.cases.oracle import each_backend, each_kernel, each_treecode, random_case
+from tests.cases.oracle import FREE, each_backend, each_kernel, each_treecode, random_case
 from tests.cases.rotne_prager import RotnePrager
-from treecode.methods import names
 from treecode.methods.fmm import hierarchy
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.05)
@@ -30,7 +29,7 @@ def test_second_execute_equals_a_fresh_plan(backend):
     assert np.array_equal(plan.execute(second), fresh.execute(second))
 
 
-@pytest.mark.parametrize("backend", names())
+@pytest.mark.parametrize("backend", FREE)
 @each_kernel
 def test_result_does_not_depend_on_threads(kernel, backend):
     points, strengths, _ = random_case(kernel, 3000, 2)

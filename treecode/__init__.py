@@ -4,7 +4,7 @@ from treecode import cache
 from treecode._elements import erf, exp, log
 from treecode._lanes import inverse_sqrt, where
 from treecode.accuracy import relative_error
-from treecode.boundaries import Boundary, FreeSpace, Term, Wall
+from treecode.boundaries import Boundary, FreeSpace, Periodic, Term, Wall
 from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.evaluation import evaluate
 from treecode.kernels import (
@@ -14,6 +14,7 @@ from treecode.kernels import (
     StokesletStresslet,
 )
 from treecode.kernels.base import Kernel
+from treecode.kernels.periodic import PeriodicKernel
 from treecode.locks import Lock
 from treecode.methods.base import Method
 from treecode.methods.direct import EXACT
@@ -30,6 +31,8 @@ __all__ = [
     "Kernel",
     "Lock",
     "Method",
+    "Periodic",
+    "PeriodicKernel",
     "Plan",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",

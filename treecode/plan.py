@@ -41,8 +41,8 @@ class Plan:
         For example ``RegularizedStokeslet(epsilon=0.02)``.
     backend : str, optional
         One of `treecode.backends()`: the name of a method (direct summation, kernel-independent
-        treecode, Taylor treecode, fast multipole method, or one that was registered), or "auto",
-        what should be the fastest of these for `tol`.
+        treecode, Taylor treecode, fast multipole method, Ewald's method for a periodic kernel, or
+        one that was registered), or "auto", what should be the fastest of these for `tol`.
     theta : float, optional
         For treecodes: a cluster of radius r is far from a target at distance R of its centre if
         ``r / R <= theta`` (K eq. 6.1, T eq. 32). Between 0 and 1; smaller is more accurate. By
@@ -62,10 +62,11 @@ class Plan:
     tol : float, optional
         Relative error in the Euclidean norm, K eq. (8.1), over the targets of each group, for
         values of each unit (velocities, angular velocities) apart; between 1e-13 and 1, by default
-        1e-5 for "auto" and the fast multipole method. The sum is chosen at the first `execute`,
-        which samples its error, and stays for as many points and any strengths as long as a few
-        targets, at which every longer `execute` looks, show no larger error; or until `refine`
-        samples it again.
+        1e-5 for "auto", the fast multipole method and Ewald's. The sum is chosen at the first
+        `execute`, which samples its error, and stays for as many points and any strengths as long
+        as a few targets, at which every longer `execute` looks, show no larger error; or until
+        `refine` samples it again. Periodic sums are sampled by the first `execute` and by `refine`
+        alone.
         The fast multipole method by name with a `degree` only aims at it.
     progress : bool, optional
         Show a progress bar while summing.

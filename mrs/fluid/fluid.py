@@ -11,10 +11,11 @@ from mrs import check
 from mrs.fluid.flows import Flow
 from mrs.fluid.mobility import Boundary, FreeSpace
 from mrs.registry import Registry
-from treecode import Wall
+from treecode import Periodic, Wall
 
 BOUNDARIES: Registry[type[Boundary]] = Registry("boundary", "kind")
 BOUNDARIES.register(Wall)
+BOUNDARIES.register(Periodic)
 
 _STILL = 1e-9  # part of the background's speed near a wall that it may have at the wall
 
@@ -33,7 +34,7 @@ class Fluid:
         Its motion without bodies: one of `mrs.flows`, or an object with their methods `velocity`
         and, for rods, `vorticity`.
     boundary : treecode.Boundary, optional
-        For example `mrs.Wall`; the fluid is everywhere by default.
+        For example `mrs.Wall`, `mrs.Periodic`; the fluid is everywhere by default.
 
     Raises
     ------

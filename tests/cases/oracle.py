@@ -20,6 +20,8 @@ KERNELS = [
     tc.Stokeslet(),
     tc.StokesletStresslet(),
 ]
+# Sums of these kernels, by name: there are others of periodic ones.
+FREE = [method.name for method in METHODS if method.takes(KERNELS[0])]
 UNIT = 2.0**-53
 COINCIDENT = 2.0**-1022  # r^2 of points that are one to a singular kernel: doubles end there
 each_backend = pytest.mark.parametrize("backend", BACKENDS)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from treecode.accuracy import Parts
+from treecode.boundaries.base import free
 from treecode.choice.probe import Probe
 from treecode.choice.refusals import ToleranceError
 from treecode.choice.sampling import sampled_error
@@ -116,7 +117,9 @@ class Search:
         return self.ranks.first(error.bound)
 
     def _takes_no_time(self, sources: np.ndarray, targets: np.ndarray) -> bool:
-        """Tell whether all sums together are so little that they are made directly."""
+        """Tell whether all sums together are so little that they are made directly, by pairs."""
+        if not hasattr(free(self.kernel), "pair"):
+            return False
         pairs = sources.shape[1] * targets.shape[1] * self.sums
         return pairs <= FEW and any(method.name == EXACT.backend for method in self.methods)
 

@@ -1,4 +1,7 @@
-"""Direct summation: the treecode whose root is a leaf that no target is far from."""
+"""Direct summation: the treecode whose root is a leaf that no target is far from.
+
+A lattice sum is none over pairs: of a periodic kernel it is Ewald's sum, to rounding.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from treecode.methods.base import KEYWORDS, PRECISIONS, Case, Offer
+from treecode.kernels.base import Kernel
+from treecode.kernels.periodic import PeriodicKernel
+from treecode.methods import ewald
+from treecode.methods.base import KEYWORDS, PRECISIONS, Case, Offer, Sum
 from treecode.methods.registry import Choice
 from treecode.methods.walk import WalkMethod
 from treecode.tree import Tree, build_tree
@@ -36,12 +42,25 @@ class DirectSummation(WalkMethod):
     name = NAME
     parameters: ClassVar = {"precision": KEYWORDS["precision"]}
 
+    def takes(self, kernel: Kernel) -> bool:
+        """Tell whether a kernel is one of pairs, or periodic."""
+        return isinstance(kernel, PeriodicKernel) or super().takes(kernel)
+
+    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Sum:
+        """Return a sum without points."""
+        if isinstance(kernel, PeriodicKernel):
+            return ewald.exact_sum(kernel, progress)
+        return super().make(kernel, parameters, progress)
+
     def seeks(self, given: Mapping[str, Any]) -> bool:
         """Return False: there is nothing more accurate to look for."""
         return False
 
     def offers(self, case: Case, given: Mapping[str, Any]) -> Iterator[Offer]:
         """Yield sums in doubles and in singles, if their cost is known."""
+        if isinstance(case.kernel, PeriodicKernel):
+            yield Offer({"precision": PRECISIONS[0]}, 0.0, ewald.exact_seconds(case))
+            return
         fitted = case.fitted(self.name)
         if fitted is None:
             return

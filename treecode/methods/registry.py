@@ -70,14 +70,16 @@ def able(kernel: Any) -> tuple[Method, ...]:
 
 
 def require_kernel(kernel: Any, backend: str) -> Any:
-    """Return `kernel` if it has all that a method asks for, or all of `treecode.Kernel` for "auto".
+    """Return `kernel` if the method takes it, or any method for "auto".
 
     Raises
     ------
     TypeError
         With the missing members, and the methods that take any kernel.
     """
-    members = Method.members if backend == AUTO else get(backend).members
+    methods = tuple(_methods.values()) if backend == AUTO else (get(backend),)
+    taken = any(method.takes(kernel) for method in methods)
+    members = () if taken else Method.members if backend == AUTO else methods[0].members
     others = [name for name, method in _methods.items() if method.any_kernel]
     if not isinstance(kernel, BoundedKernel):
         return check.kernel(kernel, backend, members, others)

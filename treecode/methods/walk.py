@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from treecode.kernels.base import Kernel
-from treecode.methods.base import Method
+from treecode.methods.base import Method, Sum
 from treecode.ranks import OneRank
 from treecode.threads import Threads
 from treecode.timing import Seconds
@@ -37,7 +37,7 @@ class WalkMethod(Method):
     `finish` to fill its `data` (`treecode.upward`).
     """
 
-    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Walk:
+    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Sum:
         """Return a walk without points."""
         return Walk(self, kernel, parameters, progress)
 

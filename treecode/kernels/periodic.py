@@ -1,0 +1,53 @@
+"""A kernel whose sources repeat periodically in three directions."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from treecode.kernels.base import weights
+
+
+class PeriodicKernel(NamedTuple):
+    """The flow of sources that a lattice repeats, of all images together.
+
+    The flow, and of kernels with angular velocities the spin, has no mean over the cell: in Fourier
+    space the wave k = 0 is left out. Forces that do not add up to zero are so balanced by a uniform
+    body force on the fluid.
+
+    It has no `pair`, since a lattice sum is no sum over pairs; methods that ask for one leave it to
+    others.
+
+    Parameters
+    ----------
+    free : RegularizedStokeslet or RegularizedStokesletRotlet
+        The kernel in free space.
+    cell : tuple of three tuples of three floats
+        The rows are the lattice vectors.
+    """
+
+    free: Any
+    cell: tuple[tuple[float, float, float], ...]
+
+    @property
+    def strength_size(self) -> int:
+        """Columns of the strengths."""
+        return int(self.free.strength_size)
+
+    @property
+    def weight_size(self) -> int:
+        """Components of the linear weights."""
+        return int(self.free.weight_size)
+
+    @property
+    def value_size(self) -> int:
+        """Components of the sum."""
+        return int(self.free.value_size)
+
+    @property
+    def value_lengths(self) -> tuple[float, ...]:
+        """Powers of a length in the units of the values."""
+        return tuple(self.free.value_lengths)
+
+    def weights(self, q: tuple[float, ...]) -> tuple[float, ...]:
+        """Return those of the kernel in free space."""
+        return weights(self.free, q)

@@ -1,0 +1,96 @@
+"""Ewald's method as others see it: its parameters, and its offers for a tolerance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, ClassVar
+
+from treecode import check
+from treecode.kernels.base import Kernel
+from treecode.kernels.periodic import PeriodicKernel
+from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter
+from treecode.methods.ewald.cells import crowding
+from treecode.methods.ewald.summation import Ewald, scaled_task
+from treecode.methods.ewald.tuning import Task, cheapest_split, seconds_of
+
+NAME = "ewald"
+EXACT = 1e-15  # nothing is more accurate
+_FINER = tuple(10.0 ** (-0.5 * n) for n in range(1, 7))  # times a tolerance that is not kept
+
+
+class EwaldMethod(Method):
+    """Periodic sums of regularized kernels, which take a tolerance themselves.
+
+    `xi` is the splitting parameter, an inverse length. It depends on points that were set before.
+    """
+
+    name = NAME
+    parameters: ClassVar = {
+        "tol": KEYWORDS["tol"],
+        "xi": Parameter(partial(check.number, low=0.0, high=math.inf)),
+    }
+    members = ("strength_size", "weight_size", "value_size", "weights", "free", "cell")
+    any_kernel = False
+
+    def refuse(self, given: Mapping[str, Any]) -> None:
+        """Refuse a precision."""
+        precision = given.get("precision")
+        check.absent(f"with backend {NAME!r}, where tol decides", precision=precision)
+
+    def seeks(self, given: Mapping[str, Any]) -> bool:
+        """Return True: a tolerance is kept."""
+        return True
+
+    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Ewald:
+        """Return a sum without points."""
+        assert isinstance(kernel, PeriodicKernel), "see `members`"
+        return Ewald(kernel, parameters, progress)
+
+    def describe(self, parameters: Mapping[str, Any]) -> str:
+        """Return the name with the tolerance."""
+        return f"{self.name}({parameters['tol']:.2g})"
+
+    def offers(self, case: Case, given: Mapping[str, Any]) -> Iterator[Offer]:
+        """Yield the sum of the largest tolerance that should do, or else of the smallest."""
+        for tol in (case.tol, *(case.tol * finer for finer in _FINER)):
+            offer = Offer({"tol": max(tol, EXACT)}, tol, math.inf)
+            if case.will_do(self.name, offer):
+                yield self._priced(case, offer)
+                return
+        yield offer
+
+    def _priced(self, case: Case, offer: Offer) -> Offer:
+        """Return an offer with its splitting parameter and seconds; once for each tolerance."""
+        known = case.memory.setdefault(self.name, {})
+        tol = offer.parameters["tol"]
+        if tol not in known:
+            unit, task = _task_of(case, tol)
+            apart = None if case.targets is case.sources else case.targets / unit
+            crowded = crowding(task.vectors, case.sources / unit, apart)
+            split = cheapest_split(task, crowded)
+            seconds = sum(seconds_of(task, split, crowded(split.distance)))
+            known[tol] = {"tol": tol, "xi": split.xi / unit}, seconds
+        parameters, seconds = known[tol]
+        return offer._replace(parameters=parameters, seconds=seconds)
+
+
+def _task_of(case: Case, tol: float) -> tuple[float, Task]:
+    """Return the edge of a cube as large as the cell, and the sum in units of it."""
+    assert isinstance(case.kernel, PeriodicKernel), "see `members`"
+    return scaled_task(case.kernel, case.sources.shape[1], case.targets.shape[1], tol)
+
+
+METHOD = EwaldMethod()
+
+
+def exact_sum(kernel: PeriodicKernel, progress: bool = False) -> Ewald:
+    """Return a sum to rounding, which is the same for as many points anywhere."""
+    return Ewald(kernel, {"tol": EXACT}, progress, evenly=True)
+
+
+def exact_seconds(case: Case) -> float:
+    """Return what a sum to rounding takes."""
+    _, task = _task_of(case, EXACT)
+    return sum(seconds_of(task, cheapest_split(task)))

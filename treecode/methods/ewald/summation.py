@@ -1,0 +1,245 @@
+"""A periodic sum by Ewald's method: pairs for the short part, waves for the rest."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from treecode.kernels.periodic import PeriodicKernel
+from treecode.methods.ewald.cells import crowding, find_groups, make_grid, sort_points
+from treecode.methods.ewald.long_part import (
+    apply_flow,
+    from_waves,
+    make_waves,
+    precision_for,
+    to_waves,
+)
+from treecode.methods.ewald.short_part import ShortStokeslet, ShortStokesletRotlet, sum_neighbours
+from treecode.methods.ewald.tuning import (
+    Task,
+    cheapest_split,
+    pair_precision,
+    seconds_of,
+    split_at,
+)
+from treecode.ranks import OneRank
+from treecode.threads import Threads
+from treecode.timing import Seconds
+from treecode.traversal import load_weights
+
+_GROUPS = 64  # of targets, that a thread takes at a time
+
+
+class Ewald:
+    """A sum over all images of the sources.
+
+    Parameters
+    ----------
+    kernel : PeriodicKernel
+    parameters : mapping
+        Of `method.EwaldMethod`. Without `xi` the split that should be the fastest is taken for the
+        first points, and kept.
+    progress : bool
+    evenly : bool, optional
+        Find it for so many points anywhere, and not for where they are.
+
+    Attributes
+    ----------
+    ranks : OneRank
+        Share the targets, if there are several.
+    """
+
+    def __init__(
+        self,
+        kernel: PeriodicKernel,
+        parameters: Mapping[str, Any],
+        progress: bool,
+        evenly: bool = False,
+    ) -> None:
+        self.kernel, self._given, self._progress = kernel, parameters, progress
+        self.tol: float = parameters["tol"]
+        self.xi: float = parameters.get("xi", 0.0)
+        self._evenly = evenly
+        self._pairs: int | None = None
+        self.ranks = OneRank()
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Those that were given, and the splitting parameter: it depends on points set before."""
+        return {**self._given, "xi": self.xi}
+
+    def set_points(self, sources: np.ndarray, targets: np.ndarray | None) -> None:
+        """Sort the points, (3, N) and (3, M), and cut off both parts; the arrays are kept."""
+        self.seconds = Seconds()
+        self._pairs = None
+        everywhere = sources if targets is None else targets
+        count = sum(self.ranks.exchange(everywhere.shape[1]))
+        self._unit, self._task = scaled_task(self.kernel, sources.shape[1], count, self.tol)
+        with self.seconds.stage("tree"):
+            vectors = self._task.vectors
+            scaled = sources / self._unit
+            scaled_targets = None if targets is None else targets / self._unit
+            if not self.xi:
+                even = self._evenly or self.ranks.size > 1
+                known = () if even else (crowding(vectors, scaled, scaled_targets),)
+                self.xi = cheapest_split(self._task, *known).xi / self._unit
+            self._split = split_at(self._task, self.xi * self._unit)
+            self._waves = make_waves(
+                vectors, self._task.epsilon, self._split.xi, self._split.wave_number
+            )
+            self._grid = make_grid(vectors, self._split.distance, sources.shape[1], count)
+            self._sources = sort_points(self._grid, scaled)
+            self._targets = self._sources
+            if scaled_targets is not None:
+                self._targets = sort_points(self._grid, scaled_targets)
+            self._groups = find_groups(self._grid, self._targets.start)
+        self.source_order, self.target_order = self._sources.order, self._targets.order
+        self.sources = self.targets = np.ascontiguousarray(sources[:, self.source_order])
+        if targets is not None:
+            self.targets = np.ascontiguousarray(targets[:, self.target_order])
+
+    def execute(self, strengths: np.ndarray) -> np.ndarray:
+        """Return the sum, (M, value_size), of strengths (N, strength_size)."""
+        values = np.zeros((self.targets.shape[1], self.kernel.value_size))
+        self._pairs = 0
+        self.seconds |= {"near": 0.0, "waves": 0.0}
+        if not values.size or not len(strengths):
+            return values
+        with Threads(self._progress) as threads:
+            with self.seconds.stage("weights"):
+                weights, unit = self._weights(strengths, threads)
+            self._sum(weights, values, threads)
+        lengths = np.array(self.kernel.value_lengths, float)
+        values *= unit * self._unit**-lengths
+        return values
+
+    def _weights(self, strengths: np.ndarray, threads: Threads) -> tuple[np.ndarray, float]:
+        """Return sorted weights, (weight_size, N), and the unit that they are in besides lengths.
+
+        Singles hold nothing below 1e-38, nor above 1e38.
+        """
+        free = self.kernel.free
+        weights = np.empty((free.weight_size, len(strengths)))
+        load_weights(free, strengths, self.source_order, weights, threads)
+        weights *= self._unit ** -np.array(free.weight_lengths, float)[:, None]
+        unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
+        weights /= unit
+        return weights, unit
+
+    def _sum(self, weights: np.ndarray, values: np.ndarray, threads: Threads) -> None:
+        """Add both parts to `values`, (M, value_size).
+
+        There are few transforms, each on one thread: the others sum pairs meanwhile.
+        """
+        waves, precision = self._waves, precision_for(self.tol)
+        transforms = -(-len(weights) // 2)
+        modes: np.ndarray = np.zeros((transforms, *waves.shape), precision.dtype)
+        smooth: np.ndarray = np.empty((transforms, len(values)), precision.dtype)
+
+        def forward(t: int) -> None:
+            real, *imaginary = weights[2 * t : 2 * t + 2]
+            pair = real + 1j * (imaginary[0] if imaginary else 0.0)
+            modes[t] = to_waves(self._sources.places, pair, waves.shape, precision)
+
+        def apply(some: slice) -> None:
+            of_waves = waves.counts, waves.reciprocal, waves.chi
+            apply_flow(modes, *of_waves, some.start, some.stop)
+
+        def backward(t: int) -> None:
+            smooth[t] = from_waves(self._targets.places, modes[t], precision)
+
+        def sum_pairs(groups: np.ndarray) -> None:
+            pairs.append(self._sum_pairs(weights, groups, values))
+
+        pairs: list[int] = []
+
+        groups = np.array_split(self._groups, max(2, len(self._groups) // _GROUPS))
+        half = len(groups) // 2
+        self._share(threads, forward, transforms, sum_pairs, groups[:half])
+        with self.seconds.stage("waves", more=True):
+            threads(apply, int(waves.counts[0]) + 1)
+        self._share(threads, backward, transforms, sum_pairs, groups[half:])
+        for c in range(values.shape[1]):
+            part = smooth[c // 2]
+            values[self.target_order, c] += part.imag if c % 2 else part.real
+        self._pairs = sum(pairs)
+
+    def _share(
+        self,
+        threads: Threads,
+        transform: Callable[[int], None],
+        count: int,
+        sum_pairs: Callable[[np.ndarray], None],
+        groups: list[np.ndarray],
+    ) -> None:
+        """Make so many transforms, and sum the pairs of groups of targets, by all threads."""
+        taken = np.zeros(count + len(groups))
+
+        def work(some: slice) -> None:
+            i, start = some.start, time.perf_counter()
+            if i < count:
+                transform(i)
+            else:
+                sum_pairs(groups[i - count])
+            taken[i] = time.perf_counter() - start
+
+        start = time.perf_counter()
+        threads(work, len(taken), 1, progress=True)
+        scale = (time.perf_counter() - start) / taken.sum()
+        for stage, part in (("waves", taken[:count]), ("near", taken[count:])):
+            self.seconds[stage] += float(scale * part.sum())
+
+    def _sum_pairs(self, weights: np.ndarray, groups: np.ndarray, values: np.ndarray) -> int:
+        """Add the short part at some groups of targets; return the number of pairs."""
+        task, split = self._task, self._split
+        kind = ShortStokesletRotlet if task.size == 6 else ShortStokeslet
+        pairs: int = sum_neighbours(
+            kind(task.epsilon, split.xi, split.distance),
+            self._grid,
+            self._sources.places,
+            weights,
+            self._sources.start,
+            self._targets.places,
+            self._targets.order,
+            groups,
+            np.empty(0, pair_precision(task, split)),
+            values,
+        )
+        return pairs
+
+    @property
+    def effort(self) -> float:
+        """What the last sum took, in pairs."""
+        if not self._pairs:
+            return 0.0
+        near, waves = seconds_of(self._task, self._split)
+        return self._pairs * (1.0 + waves / near)
+
+    def info(self) -> dict[str, Any]:
+        """Return parameters, cut-offs, pairs and waves of the last sum, and bytes held."""
+        arrays: list[np.ndarray] = [*self._grid, *self._waves, self._groups]
+        for points, given in ((self._sources, self.sources), (self._targets, self.targets)):
+            arrays += [*points, given]
+        return {
+            **self.parameters,
+            "cut_off": self._unit * self._split.distance,
+            "waves": self._waves.shape,
+            "near_pairs": self._pairs,
+            "far_pairs": None if self._pairs is None else math.prod(self._waves.shape),
+            "bytes": sum({id(array): array.nbytes for array in arrays}.values()),
+        }
+
+
+def scaled_task(
+    kernel: PeriodicKernel, sources: int, targets: int, tol: float
+) -> tuple[float, Task]:
+    """Return the edge of a cube as large as the cell, and the sum in units of it."""
+    vectors = np.array(kernel.cell)
+    scale = np.abs(vectors).max()
+    unit = float(scale * abs(np.linalg.det(vectors / scale)) ** (1.0 / 3.0))
+    free = kernel.free
+    return unit, Task(vectors / unit, free.epsilon / unit, free.value_size, sources, targets, tol)
