@@ -10,7 +10,7 @@ import numpy as np
 from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
-from mrs.fluid import Backend, Fluid, Mobility
+from mrs.fluid import Backend, Fluid, Mobility, Periodic
 from mrs.forces import Force
 from mrs.profile import Profile
 from mrs.time.state import Arrays, State
@@ -237,7 +237,11 @@ class Scene:
         return at_points | ({"epsilon": epsilons} if body.has_force else {}), at_cells
 
     def frame(self, body: Body, now: Evaluation) -> tuple[np.ndarray, Arrays, Arrays]:
-        """Return the points of one body, (p, 3), and its arrays at points and at cells."""
+        """Return the points of one body, (p, 3), and its arrays at points and at cells.
+
+        In a periodic box points are in it, and the array "image" has the multiples of the lattice
+        vectors, (p, 3), that lead to where they are in the state.
+        """
         part = self.layout.part(body)
         at_points = {"velocity": now.motion[part.points, :3]}
         if body.has_force:
@@ -246,5 +250,22 @@ class Scene:
             at_points["torque"] = now.loads[part.points, 3:]
         if body.has_spin:
             at_points["angular_velocity"] = now.motion[part.points, 3:]
-        fields = body.fields(now.time, part.state(now.state), **at_points)
-        return now.points[part.points], *fields
+        of_points, of_cells = body.fields(now.time, part.state(now.state), **at_points)
+        points = now.points[part.points]
+        box = self.fluid.boundary
+        if isinstance(box, Periodic):
+            image = self._images(body, points, box)
+            points, of_points = points - image @ box.vectors, of_points | {"image": image}
+        return points, of_points, of_cells
+
+    def _images(self, body: Body, points: np.ndarray, box: Periodic) -> np.ndarray:
+        """Return the image of a box that each point is in, (p, 3): that of the middle of its line.
+
+        A line is drawn whole, and not across the box.
+        """
+        line = np.arange(len(points))
+        for joined in body.topology()[1]:
+            line[joined] = np.min(joined)
+        _, line, size = np.unique(line, return_inverse=True, return_counts=True)
+        middle = np.stack([np.bincount(line, column) for column in points.T], axis=1)
+        return box.images(middle / size[:, None])[line]

@@ -39,7 +39,8 @@ class Fluid:
     Raises
     ------
     ValueError, TypeError
-        For an argument that is out of its range; if the background flows at a wall.
+        For an argument that is out of its range; if the background flows at a wall, or differs
+        from box to box.
     """
 
     viscosity: float = 1.0
@@ -62,6 +63,8 @@ class Fluid:
             raise TypeError(f"boundary must be a treecode.Boundary, got {self.boundary!r}")
         if flow is not None and isinstance(self.boundary, Wall):
             _require_still(flow, self.boundary)
+        if flow is not None and isinstance(self.boundary, Periodic):
+            _require_periodic(flow, self.boundary)
 
     def flow(
         self,
@@ -94,4 +97,19 @@ def _require_still(flow: Flow, wall: Wall) -> None:
         raise ValueError(
             f"background must be zero at the wall, as mrs.flows.shear is at its origin, got "
             f"velocity {at_wall[row]} at {points[row]}"
+        )
+
+
+def _require_periodic(flow: Flow, box: Periodic) -> None:
+    """Refuse a background that is not the same in the next images of a box, at some points."""
+    places = np.array([[0.0, 0.0, 0.0], [0.31, 0.53, 0.78], [0.9, 0.2, 0.4]]) @ box.vectors
+    moved = (places[:, None] + box.vectors).reshape(-1, 3)
+    here, there = (
+        check.vectors("background velocity", flow.velocity(points, 0.0), len(points), str)
+        for points in (places, moved)
+    )
+    if np.abs(there - np.repeat(here, 3, axis=0)).max() > _STILL * np.abs(there).max():
+        raise ValueError(
+            f"background must be the same in each box of {box}, got one with velocity {here[0]} at "
+            f"{places[0]} and {there[0]}, {there[1]}, {there[2]} in the next boxes"
         )

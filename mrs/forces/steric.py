@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -10,7 +11,7 @@ import scipy
 
 from mrs import check
 from mrs.bodies.layout import Layout
-from mrs.fluid import Fluid, Wall
+from mrs.fluid import Fluid, Periodic, Wall
 from mrs.forces.base import Force
 
 
@@ -47,7 +48,8 @@ class Steric(Force):
 
     def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the force on each point, (F, 3)."""
-        forces = self.between(points, *layout.contact_labels)
+        box = fluid.boundary if isinstance(fluid.boundary, Periodic) else None
+        forces = self.between(points, *layout.contact_labels, box=box)
         if isinstance(fluid.boundary, Wall):
             forces += self.from_wall(points, fluid.boundary)
         return forces
@@ -64,7 +66,12 @@ class Steric(Force):
         return np.asarray(self.strength / (2.0 * self.radius) * nearness**4)
 
     def between(
-        self, points: np.ndarray, pieces: np.ndarray, places: np.ndarray, rounds: np.ndarray
+        self,
+        points: np.ndarray,
+        pieces: np.ndarray,
+        places: np.ndarray,
+        rounds: np.ndarray,
+        box: Periodic | None = None,
     ) -> np.ndarray:
         """Return the force on each point, (N, 3).
 
@@ -77,16 +84,50 @@ class Steric(Force):
             Arclength along it.
         rounds : (N,) ndarray
             Length of a closed piece, infinite for an open one.
+        box : Periodic, optional
+            Whose images repel each other as well.
         """
         reach = 2.0 * self.chi * self.radius
-        i, j = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray").T
+        i, j, between = _near_pairs(points, reach, box)
         along = np.abs(places[i] - places[j])
         along = np.minimum(along, rounds[i] - along)
         apart = (pieces[i] != pieces[j]) | (along > reach)
-        i, j = i[apart], j[apart]
-        between = points[i] - points[j]
+        i, j, between = i[apart], j[apart], between[apart]
         push = self._push(np.linalg.norm(between, axis=1))[:, None] * between
         forces = np.zeros_like(points)
         np.add.at(forces, i, push)
         np.subtract.at(forces, j, push)
         return forces
+
+
+def _near_pairs(
+    points: np.ndarray, reach: float, box: Periodic | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return pairs i, j of points nearer than `reach`, and the way from j to i, each pair once.
+
+    In a box the nearest images of points count: copies of those near a face are put beyond the
+    opposite one, which serves cells of any shape.
+    """
+    count = len(points)
+    owners = np.arange(count)
+    if box is not None:
+        margin = reach / box.heights
+        if margin.max() > 0.5:
+            raise ValueError(
+                f"radius must be small beside the box: points repel each other up to {reach:g}, "
+                f"and the box is only {box.heights.min():g} high"
+            )
+        inside = points @ np.linalg.inv(box.vectors)
+        inside -= np.floor(inside)
+        copies, of = [inside], [owners]
+        for shift in product((0.0, -1.0, 1.0), repeat=3):
+            moved = inside + shift
+            near = np.all((moved > -margin) & (moved < 1.0 + margin), axis=1) & any(shift)
+            copies.append(moved[near])
+            of.append(np.flatnonzero(near))
+        points, owners = np.concatenate(copies) @ box.vectors, np.concatenate(of)
+    i, j = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray").T
+    # A pair across a face is found on both sides of the box, once from each point.
+    once = (i < count) & ((j < count) | (owners[i] < owners[j]))
+    i, j = i[once], j[once]
+    return i, owners[j], points[i] - points[j]

@@ -50,7 +50,7 @@ def tracks(directory: str | Path, body: str) -> Tracks:
     with Trajectory(paths[check.one_of("body", body, paths)]) as file:
         if not len(file):
             raise ValueError(f"{file.path} has no frame yet")
-        cell = file.meta.get("cell")
+        cell = file.meta.get("boundary cell")
         lattice = None if cell is None else np.reshape(cell, (3, 3))
         frames = [_frame(file, i, lattice) for i in range(len(file))]
         times = file.times

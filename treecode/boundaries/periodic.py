@@ -57,6 +57,25 @@ class Periodic(Boundary):
             )
         return (Term(PeriodicKernel(kernel, self.cell)),)
 
+    @property
+    def vectors(self) -> np.ndarray:
+        """Lattice vectors in rows, (3, 3)."""
+        return np.array(self.cell)
+
+    @property
+    def heights(self) -> np.ndarray:
+        """Distances between opposite faces of the cell, (3,)."""
+        return np.asarray(1.0 / np.linalg.norm(np.linalg.inv(self.vectors), axis=0))
+
+    def images(self, points: np.ndarray) -> np.ndarray:
+        """Return which image of the cell each point is in, (N, 3) int: multiples of the vectors.
+
+        Parameters
+        ----------
+        points : (N, 3) ndarray
+        """
+        return np.floor(points @ np.linalg.inv(self.vectors)).astype(np.int64)
+
 
 def _checked_cell(cell: Any) -> tuple[tuple[float, ...], ...]:
     """Return lattice vectors, checked."""
