@@ -9,7 +9,7 @@ import pytest
 import mrs
 from mrs.time.integrators import METHODS
 from mrs.time.state import State
-from mrs.time.stepper import Stepper
+from mrs.time.stepper import Stepper, System
 from tests.cases import rod_oracle as oracle
 from tests.cases.motions import ROD, STRAIN, Coupled, advance, small_rod
 
@@ -41,7 +41,7 @@ def test_error_follows_the_tolerance(name):
     assert np.all(np.diff(work) > 0)
 
 
-class _Burst:
+class _Burst(System):
     """A point at rest until t = 1, which then begins to shake."""
 
     error_scale = perturbation = np.ones((1, 1))

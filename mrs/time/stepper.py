@@ -71,7 +71,8 @@ class System(Protocol):
         """Return velocities and angular velocities, (P + Q, 3)."""
 
     def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
-        """Return why a state cannot be; None if it can."""
+        """Return why a state cannot be; None if it can, as by default."""
+        return None
 
 
 class Watched:

@@ -5,10 +5,11 @@ from scipy.spatial.transform import Rotation
 
 import mrs
 from mrs.time.state import State
+from mrs.time.stepper import System
 from tests.cases import rod_oracle as oracle
 
 
-class Coupled:
+class Coupled(System):
     """Two points and a triad that drive each other, nonlinearly and in time."""
 
     error_scale = np.ones((3, 1))
