@@ -162,7 +162,7 @@ BAD = [
     (lambda: mrs.Simulation(FLUID, rods()), r"bodies must be a list of mrs.Body, in brackets also"),
     (lambda: mrs.Simulation(FLUID, 3), "bodies must be a list of mrs.Body"),
     (lambda: mrs.Simulation(FLUID, [rods(), 3]), r"bodies\[1\] must be mrs.Body, got 3"),
-    (lambda: mrs.Simulation(FLUID, [rods()], backend="fnm"), "backend must be .*'fmm'.*, got 'fnm'"),
+    (lambda: mrs.Simulation(FLUID, [rods()], backend="fnm"), "backend must be .*'fmm'.*got 'fnm'"),
     (lambda: mrs.Simulation(FLUID, [rods()], integrator="rk5"), "integrator must be .*got 'rk5'"),
     (lambda: mrs.Simulation(FLUID, [rods()], output="run"), "output must be mrs.Output or None"),
     (lambda: mrs.Simulation(FLUID, [rods()]).run(1.0, max_walltime=np.nan), "max_walltime .*nan"),
