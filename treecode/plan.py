@@ -64,7 +64,8 @@ class Plan:
         1e-5 for "auto", the fast multipole method and Ewald's. The sum is chosen at the first
         `execute`, which samples its error, and stays for as many points and any strengths as long
         as a few targets, at which every longer `execute` looks, show no larger error; or until
-        `refine` samples it again. Periodic sums are sampled by the first `execute` and by `refine` alone.
+        `refine` samples it again. Periodic sums are sampled by the first `execute` and by `refine`
+        alone.
         The fast multipole method by name with a `degree` only aims at it.
     progress : bool, optional
         Show a progress bar while summing.
