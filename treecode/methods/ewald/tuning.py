@@ -63,11 +63,14 @@ class Split(NamedTuple):
     distance : float
         Of pairs.
     wave_number : float
+    norm : float
+        Root mean square of the velocity that a random force of size 1 drives, times 8 pi mu.
     """
 
     xi: float
     distance: float
     wave_number: float
+    norm: float
 
 
 def split_at(task: Task, xi: float) -> Split:
@@ -76,30 +79,43 @@ def split_at(task: Task, xi: float) -> Split:
     Both are root mean squares over random strengths and targets: of what is cut off, as of Kolafa &
     Perram (Mol. Simul. 9, 1992) and Lindbo & Tornberg (J. Comput. Phys. 230, 2011), and of the
     whole. They are compared for each pair of load and motion apart. No pair of points counts that
-    is closer than is usual: what a point does to itself would hide errors elsewhere.
+    is closer than is usual: what a point does to itself would hide errors elsewhere. What a clump
+    does to itself is not random: the largest values of what is cut off are compared with that of
+    the kernel too.
     """
     x = np.linspace(0.0, math.sqrt(math.log(1.0 / task.tol) + 12.0), _SAMPLES + 1)[1:]
     r, k = x / xi, 2.0 * xi * x
     spacing = max(task.epsilon, max(task.sources, 1) ** (-1.0 / 3.0))
-    all_k = np.geomspace(_LONGEST, _LONGEST + 30.0 / spacing, _SAMPLES)
+    all_k = np.geomspace(_LONGEST, _LONGEST + 30.0 / task.epsilon, _SAMPLES)
     kinds = zip(
         _squares_of_pairs(r, task.epsilon, xi),
         _squares_of_waves(k, multiplier(k, task.epsilon, xi)),
         _squares_of_waves(all_k, blob(spacing * all_k)),
+        _squares_of_waves(all_k, blob(task.epsilon * all_k)),
         strict=True,
     )
     distance = wave_number = 0.0
-    for pairs, waves, flow in list(kinds)[: 3 if task.size == 6 else 1]:
-        limit = (_SHARE * task.tol) ** 2 * float(np.trapezoid(flow, all_k))
-        distance = max(distance, _end(r, pairs, limit))
-        wave_number = max(wave_number, _end(k, waves, limit))
-    return Split(xi, distance, wave_number)
+    norms = []
+    for pairs, waves, flow, own in list(kinds)[: 3 if task.size == 6 else 1]:
+        norms.append(math.sqrt(np.trapezoid(flow, all_k)))
+        limit = (_SHARE * task.tol * norms[-1]) ** 2
+        largest = _SHARE * task.tol * float(np.trapezoid(_peak(all_k, own), all_k))
+        distance = max(distance, _end(r, pairs, limit), _last(r, pairs, largest))
+        wave_number = max(wave_number, _end(k, waves, limit), _end(k, _peak(k, waves), largest))
+    return Split(xi, distance, wave_number, norms[0])
 
 
 def pair_precision(task: Task, split: Split) -> type:
-    """Return the type of numbers in which pairs are summed."""
-    resolved = _SINGLE_UNIT * split.distance <= _SHARE * task.tol * task.epsilon
-    return np.float32 if task.tol >= _SINGLE and resolved else np.float64
+    """Return the type of numbers in which pairs are summed.
+
+    Roundings of singles are those of coordinates, beside the blob, and of the kernel, which is
+    1/r, of all pairs at worst in the same direction.
+    """
+    limit = _SHARE * task.tol
+    resolved = _SINGLE_UNIT * split.distance <= limit * task.epsilon
+    terms = 4.0 * math.pi * split.distance**2 * math.sqrt(task.sources)
+    precise = _SINGLE_UNIT * terms <= limit * split.norm
+    return np.float32 if task.tol >= _SINGLE and resolved and precise else np.float64
 
 
 def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, float]:
@@ -139,6 +155,17 @@ def _end(x: np.ndarray, density: np.ndarray, limit: float) -> float:
     parts = 0.5 * (density[1:] + density[:-1]) * np.diff(x)
     tails = np.append(parts[::-1].cumsum()[::-1], 0.0)
     return float(x[np.argmax(tails <= limit)])
+
+
+def _last(r: np.ndarray, squares: np.ndarray, limit: float) -> float:
+    """Return from where on the short part is nowhere larger than `limit`."""
+    larger = np.flatnonzero(squares > 4.0 * math.pi * (limit * r) ** 2)
+    return float(r[min(larger[-1] + 1, len(r) - 1)]) if larger.size else 0.0
+
+
+def _peak(k: np.ndarray, squares: np.ndarray) -> np.ndarray:
+    """Return what shells of waves add to the value at r = 0."""
+    return np.asarray(k / (math.sqrt(2.0) * math.pi) * np.sqrt(squares))
 
 
 def _squares_of_pairs(r: np.ndarray, epsilon: float, xi: float) -> list[np.ndarray]:
