@@ -223,9 +223,9 @@ def above_wall(points, y, f, n, e):
 
 
 def half_plane():
-    """Return points (y, z) of the half plane z > 0, (n, 2), and their weights, in polar coordinates.
+    """Return points (y, z) of the half plane z > 0, (n, 2), and their weights.
 
-    The rule is for r = 3 t / (1 - t): 60 and 40 points leave 1e-9 of the flux of a blob near 1.
+    In polar coordinates with r = 3 t / (1 - t): 60 and 40 points leave 1e-9 of a blob near 1.
     """
     (t, wt), (a, wa) = (np.polynomial.legendre.leggauss(count) for count in (60, 40))
     t, angle = (0.5 + 0.5 * t)[:, None], 0.5 * np.pi * (1.0 + a)
@@ -290,7 +290,7 @@ REFUSED = [
     (lambda: obs.Rectangle([0, 0, 0], np.eye(3)[:2], 0), "order must be an integer from 1"),
     (lambda: obs.pumped_flux(LINE, LINE[:2], 1.0), r"loads must have shape \(3, 3\) or \(3, 6\)"),
     (lambda: obs.pumped_flux(LINE, LINE, 1.0, [1, 0, 1]), r"direction must be along .*\[1, 0, 1\]"),
-    (lambda: obs.pumped_flux(-LINE, LINE, 1.0), r"points must be .* got row 1, \(-1.0, -1.0, -1.0\)"),
+    (lambda: obs.pumped_flux(-LINE, LINE, 1.0), r"points must be .* got row 1, \(-1.0,"),
     (lambda: obs.pumped_flux(LINE, LINE, 1.0, wall=0), r"wall must be mrs\.Wall, got 0"),
     (lambda: obs.PumpedFlux([0, 0, 0]), "direction must not be zero"),
     (lambda: obs.pair_distribution(LINE[:1], BINS), "at least two points, got 1"),
