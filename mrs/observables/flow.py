@@ -133,9 +133,9 @@ def pumped_flux(
     -----
     Q = sum_j [ h_j f_j . d + n_j . (N x d) / 2 ] / (pi mu) for forces f and torques n at heights h
     along the normal N: the far field of each is a stresslet, of which the flux through planes
-    across d does not depend on the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and Smith, Blake & Gaffney
-    (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at two heights, of which
-    the symmetric half pumps nothing: so follows its factor of one half.
+    across d does not depend on the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and
+    Smith, Blake & Gaffney (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at
+    two heights, of which the symmetric half pumps nothing: so follows its factor of one half.
     """
     wall = Wall() if wall is None else check.instance("wall", wall, Wall)
     points = check.points("points", points)
