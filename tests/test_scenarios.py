@@ -112,6 +112,8 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("swimmer_suspension", {"t_end": 0.02, "count": 300}),  # many touch
         ("swimmer_suspension", {"t_end": 0.02, "stroke": "puller"}),
         ("swimmer_suspension", {"t_end": 0.02, "count": 1}),
+        ("swimmer_at_wall", {"t_end": 0.1, "stroke": "puller"}),
+        ("swimmer_at_wall", {"t_end": 0.1, "angle": 1.5, "height": 10.0}),  # repelled
         ("cilia_array", {"t_end": 0.02, "rows": 1}),
         ("cilia_array", {"t_end": 0.02, "rows": 5, "metachronal_wavelength": 6.0}),
         ("cilia_array", {"t_end": 0.02, "wall": False}),
