@@ -92,8 +92,9 @@ class CiliaArray(mrs.Scenario):
         x = sim.now.points[:, 0].max() + 0.5 * self.height
         yz = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
         velocity = sim.velocity(wall.point + np.insert(yz, 0, x, axis=1))
+        through = float(area.ravel() @ velocity[:, 0])
         expected = mrs.observables.PumpedFlux()(sim)
-        return mrs.Check("flux along the wall", float(area.ravel() @ velocity[:, 0]), expected, 0.01)
+        return mrs.Check("flux along the wall", through, expected, 0.01)
 
     def _speed_of_tips(self, sim: mrs.Simulation) -> mrs.Check:
         """Return how fast two tips of one column move apart, beside the sum of K eq. (7.2).

@@ -25,7 +25,7 @@ class SwimmerAtWall(mrs.Scenario):
 
     stroke: Literal["pusher", "puller"] = Field("pusher", description="flagellum behind or before")
     height: float = Field(5.0, gt=0, description="of the swimmer's middle at the start")
-    angle: float = Field(-0.2, description="from the wall to the way it swims at the start, radians")
+    angle: float = Field(-0.2, description="from the wall to its direction at the start, radians")
     force: float = Field(1.0, gt=0, description="thrust")
     epsilon: float = Field(0.1, gt=0, description="blob size of both particles")
     repulsion: float = Field(4.0, gt=0, description="steric force of the wall at contact")

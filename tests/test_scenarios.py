@@ -114,6 +114,7 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("swimmer_suspension", {"t_end": 0.02, "count": 1}),
         ("swimmer_at_wall", {"t_end": 0.1, "stroke": "puller"}),
         ("swimmer_at_wall", {"t_end": 0.1, "angle": 1.5, "height": 10.0}),  # repelled
+        ("rod_above_wall", {"t_end": 1e-3, "height": 3.0}),
         ("cilia_array", {"t_end": 0.02, "rows": 1}),
         ("cilia_array", {"t_end": 0.02, "rows": 5, "metachronal_wavelength": 6.0}),
         ("cilia_array", {"t_end": 0.02, "wall": False}),
