@@ -1,5 +1,7 @@
 """Cilia and a swimming rod over a wall: what they pump, and how fast they swim."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from mrs.scenarios.rod_above_wall import RodAboveWall
 BEAT = 8  # times in a beat of period 1 at which the flux is taken
 
 
+@cache
 def pumped(lag, amplitude=1.0):
     """Return the flux along x of three straight cilia in its second beat, (BEAT,).
 
