@@ -43,7 +43,7 @@ def swimmers(count: int) -> mrs.Simulation:
 
 def rods(side: int, backend: mrs.Backend) -> mrs.Simulation:
     """Return the beating carpet of K 8.2, side x side rods of 151 nodes."""
-    options = {"rows": side, "columns": side, "nodes": 151}
+    options = {"rows": side, "columns": side, "nodes": 151, "wall": False}
     return scenario_files.make("cilia_array", options).build(backend=backend, integrator=EULER)
 
 

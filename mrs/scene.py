@@ -113,25 +113,35 @@ class Scene:
         self.perturbation = _PERTURBATION * small[:, None]
 
     @joint
-    def evaluate(self, time: float, state: State) -> Evaluation:
-        """Return loads, motion and rates in a state; the last answer is kept."""
+    def evaluate(self, time: float, state: State, near: State | None = None) -> Evaluation:
+        """Return loads, motion and rates in a state; the last answer is kept.
+
+        With `near`, a state that differs little, points that are not in the fluid are taken where
+        they are in that state. Otherwise they are refused.
+        """
         with self.mobility.lock:
             last = self._last
             if last is None or last.time != time or not last.state.equals(state):
                 with self.profile.stage("forces"):
-                    last = self._last = self._evaluate(time, state)
+                    last = self._last = self._evaluate(time, state, near)
             return last
 
-    def rates(self, time: float, state: State) -> np.ndarray:
-        """Return velocities and angular velocities of the coordinates, (P + Q, 3)."""
-        return self.evaluate(time, state).rates
+    def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
+        """Return velocities and angular velocities of the coordinates, (P + Q, 3).
+
+        `near` is as for `evaluate`.
+        """
+        return self.evaluate(time, state, near).rates
 
     def forget(self) -> None:
         """Compute the next evaluation anew, since the sums are done by other methods now."""
         self._last = None
 
-    def _evaluate(self, time: float, state: State) -> Evaluation:
+    def _evaluate(self, time: float, state: State, near: State | None) -> Evaluation:
         points = self.layout.points(state)
+        if near is not None:
+            rows = self.fluid.boundary.outside(points)
+            points[rows] = self.layout.points(near)[rows]
         self._require_inside(points, time)
         loads = self._loads(time, state, points)
         if check.computable(points, loads):
@@ -220,7 +230,14 @@ class Scene:
 
     @joint
     def velocity(self, points: np.ndarray, now: Evaluation) -> np.ndarray:
-        """Return the velocity of the fluid at points, (M, 3), in a state that was evaluated."""
+        """Return the velocity of the fluid at points, (M, 3), in a state that was evaluated.
+
+        Raises
+        ------
+        ValueError
+            If a point is not in the fluid.
+        """
+        self.fluid.boundary.require_inside("points", points)
         with self.mobility.lock:
             velocity = self.mobility.velocity(now.points, now.loads, points)
         if self.fluid.background is not None:

@@ -221,7 +221,7 @@ def test_triads_stay_orthonormal(name):
 class _Spinning(Coupled):
     """A triad that turns by some two radians a step, about an axis that turns with it."""
 
-    def rates(self, t, state):
+    def rates(self, t, state, near=None):
         D = oracle.triads(state.quaternions)[0]
         return np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 8.0 * D[0] + np.array([3.0, -5.0, 4.0])])
 

@@ -222,35 +222,64 @@ def above_wall(points, y, f, n, e):
     return (force + 0.5 * turn) / (8 * np.pi)
 
 
-@pytest.mark.parametrize("epsilon", [1e-6, 0.4])
-@pytest.mark.parametrize("plane", [-1.5, 3.0])
-def test_pumped_flux_against_quadrature(epsilon, plane):
-    """Each component of force and torque, through whole planes on both sides, in polar coordinates.
+def half_plane():
+    """Return points (y, z) of the half plane z > 0, (n, 2), and their weights.
 
-    The rule is for r = 3 t / (1 - t): 60 and 40 points leave 1e-9.
+    In polar coordinates with r = 3 t / (1 - t): 60 and 40 points leave 1e-9 of a blob near 1.
     """
-    y = np.array([0.2, -0.1, 0.7])
     (t, wt), (a, wa) = (np.polynomial.legendre.leggauss(count) for count in (60, 40))
     t, angle = (0.5 + 0.5 * t)[:, None], 0.5 * np.pi * (1.0 + a)
     r = 3.0 * t / (1.0 - t)
     weights = 0.5 * wt[:, None] * (0.5 * np.pi * wa) * r * 3.0 / (1.0 - t) ** 2
-    y_plane, z_plane = r * np.cos(angle), r * np.sin(angle)
-    points = np.stack([np.full(r.size * a.size, plane), y_plane.ravel(), z_plane.ravel()], -1)
+    return np.stack([r * np.cos(angle), r * np.sin(angle)], -1).reshape(-1, 2), weights.ravel()
+
+
+@pytest.mark.parametrize("epsilon", [1e-6, 0.4])
+@pytest.mark.parametrize("plane", [-1.5, 3.0])
+def test_pumped_flux_against_quadrature(epsilon, plane):
+    """Each component of force and torque, through whole planes on both sides."""
+    y = np.array([0.2, -0.1, 0.7])
+    places, weights = half_plane()
+    points = np.insert(places, 0, plane, axis=1)
     for load in np.eye(6):
         values = above_wall(points, y, load[:3], load[3:], epsilon)
-        expected = weights.ravel() @ values[:, 0]
+        expected = weights @ values[:, 0]
         assert obs.pumped_flux([y], [load], 1.0) == pytest.approx(expected, abs=1e-8)
     assert obs.pumped_flux([y], [[2.0, 0, 0]], 3.0) == pytest.approx(2.0 * 0.7 / (3.0 * np.pi))
 
 
-def test_pumped_flux_along_other_directions():
-    """A rotation about z of points, loads and direction changes nothing."""
+TURN_ABOUT_Z = [[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]]
+TURN = [[0.6, 0.8, 0.0], [-0.64, 0.48, 0.6], [0.48, -0.36, 0.8]]
+
+
+@pytest.mark.parametrize("turn", [TURN_ABOUT_Z, TURN], ids=["about_z", "any"])
+def test_pumped_flux_along_other_walls(turn):
+    """A rotation and a shift of points, loads, direction and wall change nothing."""
     rng = np.random.default_rng(3)
     points, force, torque = rng.random((3, 5, 3))
-    turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    one = obs.pumped_flux(points, np.hstack([force, torque]), 1.0)
+    turn, shift = np.array(turn), np.array([0.3, -2.0, 1.1])
+    one = obs.pumped_flux(points, np.hstack([force, torque]), 1.0, [1.0, 2.0, 0.0])
     loads = np.hstack([force @ turn.T, torque @ turn.T])
-    assert obs.pumped_flux(points @ turn.T, loads, 1.0, [4, 3, 0]) == pytest.approx(one, rel=1e-13)
+    along = turn @ [1.0, 2.0, 0.0]
+    wall = mrs.Wall(shift + turn[:, 1], turn[:, 2])
+    other = obs.pumped_flux(points @ turn.T + shift, loads, 1.0, along, wall)
+    assert other == pytest.approx(one, rel=1e-13)
+
+
+def test_pumped_flux_over_a_tilted_wall_is_that_of_the_fluid():
+    """As a column of the log, through a plane 1.2 before the swimmer."""
+    along, across, normal = np.array(TURN)
+    wall = mrs.Wall([1.0, 0.0, 0.0], normal)
+    swimmer = mrs.Swimmers(
+        [wall.point + 0.5 * normal], [along + normal], length=0.4, force=1.0, epsilon=0.1
+    )
+    sim = mrs.Simulation(mrs.Fluid(2.0, boundary=wall), [swimmer], backend="direct")
+    column = obs.PumpedFlux(along)
+    column.require(sim)
+    places, weights = half_plane()
+    points = wall.point + 1.2 * along + places @ np.stack([across, normal])
+    through = weights @ sim.velocity(points) @ along
+    assert column(sim) == pytest.approx(through, rel=1e-6)
 
 
 # --- refusals ------------------------------------------------------------------------------
@@ -260,7 +289,10 @@ REFUSED = [
     (lambda: obs.Rectangle([0, 0, 0], [[1, 0, 0], [2, 0, 0]]), "sides must not be parallel"),
     (lambda: obs.Rectangle([0, 0, 0], np.eye(3)[:2], 0), "order must be an integer from 1"),
     (lambda: obs.pumped_flux(LINE, LINE[:2], 1.0), r"loads must have shape \(3, 3\) or \(3, 6\)"),
-    (lambda: obs.PumpedFlux([1, 0, 1]), r"direction must be along the wall.*got \[1, 0, 1\]"),
+    (lambda: obs.pumped_flux(LINE, LINE, 1.0, [1, 0, 1]), r"direction must be along .*\[1, 0, 1\]"),
+    (lambda: obs.pumped_flux(-LINE, LINE, 1.0), r"points must be .* got row 1, \(-1.0,"),
+    (lambda: obs.pumped_flux(LINE, LINE, 1.0, wall=0), r"wall must be mrs\.Wall, got 0"),
+    (lambda: obs.PumpedFlux([0, 0, 0]), "direction must not be zero"),
     (lambda: obs.pair_distribution(LINE[:1], BINS), "at least two points, got 1"),
     (lambda: obs.pair_distribution(LINE, [0, 2.5]), "shortest edge 2 of the box .*got 2.5"),
     (lambda: obs.pair_distribution(LINE, [0, 2.5], [4, 9, 9]), "half the width .*, 2, got 2.5"),

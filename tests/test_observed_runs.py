@@ -10,7 +10,6 @@ from mrs import observables as obs
 from mrs.output import vtkhdf
 from mrs.output.topology import Topology
 from mrs.run import scenario_files
-from tests.plugins.symmetry_plane import SymmetryPlane
 
 BINS = [0.0, 1.0, 2.0]
 PLANE = {"corner": [0.0, -1.0, -1.0], "sides": [[0.0, 2.0, 0.0], [0.0, 0.0, 2.0]], "order": 6}
@@ -116,14 +115,17 @@ def test_pumped_flux_in_the_log(tmp_path):
         [[0.0, 0.0, 1.0]], [[0.6, 0.0, 0.8]], length=0.5, force=2.0, epsilon=0.1
     )
     columns = {"Q": obs.PumpedFlux()}
-    fluid = mrs.Fluid(viscosity=3.0, boundary=SymmetryPlane())
+    fluid = mrs.Fluid(viscosity=3.0, boundary=mrs.Wall())
     output = mrs.Output(tmp_path / "run", 0.01, columns=columns)
     mrs.Simulation(fluid, [swimmers], output=output).run(0.01)
     # 2 p at height 1, and -2 p at 1 - 0.5 p_z
     expected = 1.2 * (1.0 - 0.6) / (3.0 * np.pi)
     assert float(rows_of(tmp_path / "run")[0]["Q"]) == pytest.approx(expected, rel=1e-12)
-    with pytest.raises(ValueError, match=r"columns\['Q'\]: the fluid must have a no-slip wall"):
+    with pytest.raises(ValueError, match=r"columns\['Q'\]: the fluid must have a wall .*FreeSpace"):
         mrs.Simulation(mrs.Fluid(), [swimmers], output=output)
+    side = mrs.Wall([-9.0, 0.0, 0.0], [1.0, 0.0, 0.0])
+    with pytest.raises(ValueError, match=r"columns\['Q'\]: direction must be along the wall"):
+        mrs.Simulation(mrs.Fluid(boundary=side), [swimmers], output=output)
 
 
 @mrs.OBSERVABLES.register

@@ -10,9 +10,11 @@ import imageio.v3 as iio
 import numpy as np
 import pytest
 
+import mrs
 from mrs.output import camera, colors, vtkhdf
 from mrs.output import render as module
 from mrs.output.render import render
+from mrs.output.stored import fluid_meta
 from mrs.output.topology import Topology
 from mrs.output.trajectory import Trajectory
 from mrs.run import cli
@@ -20,14 +22,17 @@ from mrs.run import cli
 SIZE = (320, 200)
 
 
-def rods(directory, frames=3, name="rods", length=1.0, origin=0.0):
+def rods(directory, frames=3, name="rods", length=1.0, origin=0.0, wall=None):
     """Write four upright rods that lean over, faster and faster, with radius."""
     n, z = 17, np.linspace(0, 1, 17)
     lines = list(np.arange(4 * n).reshape(4, n))
     at_points = {"radius": np.full(4 * n, length / 16)}
     at_cells = {"rod_id": np.arange(4)}
     path = directory / f"{name}.vtkhdf"
-    vtkhdf.create(path, Topology(np.empty(0, int), lines), at_points, at_cells, {"kind": "rods"})
+    meta = {"kind": "rods"}
+    if wall is not None:
+        meta |= fluid_meta(mrs.Fluid(boundary=wall), tolerance=1e-4)
+    vtkhdf.create(path, Topology(np.empty(0, int), lines), at_points, at_cells, meta)
     foot = np.repeat([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], n, axis=0)
     for i in range(frames):
         lean = np.stack([0.25 * i * z, 0 * z, z], axis=1)
@@ -282,6 +287,46 @@ def test_a_camera_far_from_the_origin(tmp_path):
         render(tmp_path / name, tmp_path / name / "a.png", camera=camera, size=SIZE)
         images.append(pixels(tmp_path / name / "a.png"))
     np.testing.assert_array_equal(*images)
+
+
+def gray(image):
+    """Pixels of the wall: as dark as no bar and as bright as no text, of no colour."""
+    return ((np.ptp(image, axis=-1) < 10) & (abs(image.mean(axis=-1) - 210) < 6)).sum()
+
+
+def drawn_over(folder, wall, name="rods", **options):
+    folder.mkdir()
+    rods(folder, 1, name, wall=wall)
+    return pixels(render(folder, folder / "a.png", size=SIZE, **options))
+
+
+def test_a_wall_is_drawn_under_the_bodies(tmp_path):
+    """It is seen from the fluid, not from behind, and bodies hide parts of it."""
+    without, over, far = (
+        drawn_over(tmp_path / name, wall)
+        for name, wall in (("a", None), ("b", mrs.Wall()), ("c", mrs.Wall([0.0, 0.0, -20.0])))
+    )
+    assert gray(without) < 200 < 3000 < gray(over)
+    assert colorful(over[:160]) > 1000
+    np.testing.assert_array_equal(far, without)
+    for height, sign in ((2.0, 1), (-2.0, -1)):
+        view = [(0.5, -4.0, 0.5 + height), (0.5, 0.5, 0.5), (0, 0, 1)]
+        seen = drawn_over(tmp_path / f"at {height}", mrs.Wall(), camera=view)
+        assert (gray(seen) > 3000) == (sign > 0)
+        assert colorful(seen[:160]) > 1000
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0.3, -0.2, 0.5)])
+def test_the_wall_lies_in_its_plane_under_all_points(normal):
+    rng = np.random.default_rng(1)
+    points = rng.random((50, 3)) * [3.0, 1.0, 0.5]
+    wall = mrs.Wall((points @ normal).min() / np.dot(normal, normal) * np.array(normal), normal)
+    corners = camera._floor(points, np.array(wall.point), wall.frame)
+    np.testing.assert_allclose(wall.heights(corners), 0.0, atol=1e-14)
+    sides = np.roll(corners, -1, axis=0) - corners
+    assert (np.cross(sides, np.roll(sides, -1, axis=0)) @ wall.normal > 0.0).all()
+    for point in points:  # inside of all four edges
+        assert (np.cross(sides, point - corners) @ wall.normal > 0.0).all()
 
 
 @pytest.mark.parametrize("place", [0.0, 1.0, 1e-6, 1e9])

@@ -46,8 +46,11 @@ class _Burst(System):
 
     error_scale = perturbation = np.ones((1, 1))
 
-    def rates(self, t, state):
+    def rates(self, t, state, near=None):
         return np.array([[0.0, 0.0, 50.0 * np.cos(50.0 * t) * (t > 1.0)]]) - 0.0 * state.positions
+
+    def refusal(self, time, state):
+        return None
 
 
 class _Recorder:

@@ -31,7 +31,8 @@ def cases(quick: bool) -> Iterator[Row]:
 def step_carpet(rods: int) -> Row:
     """Take some steps after a first one, which compiles and estimates the spectral radius."""
     numba.set_num_threads(1)
-    options = {"rows": rods, "columns": rods, "nodes": point_sets.ROD_POINTS}
+    nodes = point_sets.ROD_POINTS
+    options = {"rows": rods, "columns": rods, "nodes": nodes, "wall": False}
     backend = mrs.Backend(KITC, theta=0.7, degree=5)
     scene = scenario_files.make("cilia_array", options)
     sim = scene.build(backend=backend, integrator=mrs.Integrator("euler", dt=DT))

@@ -60,7 +60,7 @@ SCENES = {
     ),
     "cilia": Scene(
         "cilia_array",
-        {"rows": 3, "columns": 3, "nodes": 41},
+        {"rows": 3, "columns": 3, "nodes": 41, "wall": False},
         0.25,
         6.0,
         {"euler": (700, 1400, 2800), "heun": (700, 1400, 2800), "rk4": (500, 1000)},

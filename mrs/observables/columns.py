@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
-from mrs.fluid.mobility import FreeSpace
+from mrs.fluid import Wall
 from mrs.observables import flow, motion, structure
 from mrs.registry import Registry
 from mrs.time.state import State
@@ -107,7 +107,7 @@ class VelocityProfile:
 @OBSERVABLES.register
 @check.spelling
 class PumpedFlux:
-    """Volume per time that all loads pump along a no-slip wall at z = 0: `pumped_flux`.
+    """Volume per time that all loads pump along the wall of the fluid: `pumped_flux`.
 
     Parameters
     ----------
@@ -119,17 +119,20 @@ class PumpedFlux:
 
     def __init__(self, direction: ArrayLike = (1.0, 0.0, 0.0)) -> None:
         self.direction = direction
-        flow.pumped_flux(np.empty((0, 3)), np.empty((0, 3)), 1.0, direction)  # refuse it now
+        check.direction("direction", direction)
 
     def require(self, sim: Simulation) -> None:
-        """Refuse a fluid without a boundary; whether it is a no-slip wall is not known here."""
-        if isinstance(sim.fluid.boundary, FreeSpace):
-            raise ValueError("the fluid must have a no-slip wall at z = 0, got no boundary")
+        """Refuse a fluid without a wall, and a direction that is not along it."""
+        wall = sim.fluid.boundary
+        if not isinstance(wall, Wall):
+            raise ValueError(f"the fluid must have a wall (mrs.Wall), got {wall}")
+        flow.along_wall(wall, self.direction)
 
     def __call__(self, sim: Simulation) -> float:
         """Return the pumped flux now."""
-        now = sim.now
-        return flow.pumped_flux(now.points, now.loads, sim.fluid.viscosity, self.direction)
+        now, fluid, wall = sim.now, sim.fluid, sim.fluid.boundary
+        assert isinstance(wall, Wall)
+        return flow.pumped_flux(now.points, now.loads, fluid.viscosity, self.direction, wall)
 
 
 class _OfBody:

@@ -8,11 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check
+from mrs.fluid import Wall
 
 Velocity = Callable[[np.ndarray], np.ndarray]
 """From points, (n, 3), to velocities, (n, 3): as `Simulation.velocity`, or of `frame_velocity`."""
 
-_PARALLEL = 1e-12  # sine of the angle between sides that count as parallel
+_PARALLEL = 1e-12  # sine of the angle between directions that count as parallel
 
 
 @check.spelling
@@ -104,8 +105,9 @@ def pumped_flux(
     loads: ArrayLike,
     viscosity: float,
     direction: ArrayLike = (1.0, 0.0, 0.0),
+    wall: Wall | None = None,
 ) -> float:
-    """Return the volume per time that loads pump along a no-slip wall at z = 0.
+    """Return the volume per time that loads pump along a no-slip wall.
 
     It flows through each whole plane across `direction`, from the wall to infinity. It is exact
     for loads on blobs of any size, and does not include a background flow.
@@ -118,28 +120,48 @@ def pumped_flux(
     viscosity : float
     direction : (3,) array_like, optional
         Along the wall.
+    wall : Wall, optional
+        By default at z = 0, with the fluid above.
 
     Raises
     ------
     ValueError, TypeError
-        If an argument has another shape, or `direction` is not along the wall.
+        If an argument has another shape, a point is behind the wall, or `direction` is not along
+        the wall.
 
     Notes
     -----
-    Q = sum_j [ h_j f_j . d + n_j . (e_z x d) / 2 ] / (pi mu) for forces f and torques n at heights
-    h: the far field of each is a stresslet, of which the flux through x = const does not depend on
-    the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and Smith, Blake & Gaffney
-    (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at two heights, of which
-    the symmetric half pumps nothing: so follows its factor of one half.
+    Q = sum_j [ h_j f_j . d + n_j . (N x d) / 2 ] / (pi mu) for forces f and torques n at heights h
+    along the normal N: the far field of each is a stresslet, of which the flux through planes
+    across d does not depend on the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and
+    Smith, Blake & Gaffney (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at
+    two heights, of which the symmetric half pumps nothing: so follows its factor of one half.
     """
+    wall = Wall() if wall is None else check.instance("wall", wall, Wall)
     points = check.points("points", points)
+    wall.require_inside("points", points)
     count = len(points)
     loads = check.shaped("loads", loads, (count, 3), (count, 6))
     check.positive("viscosity", viscosity)
-    along = check.direction("direction", direction)
-    if along[2] != 0.0:
-        raise ValueError(f"direction must be along the wall, with z = 0, got {direction!r}")
-    pumped = points[:, 2] @ loads[:, :3] @ along
+    along = along_wall(wall, direction)
+    pumped = wall.heights(points) @ loads[:, :3] @ along
     if loads.shape[1] == 6:
-        pumped += 0.5 * loads[:, 3:].sum(axis=0) @ np.cross([0.0, 0.0, 1.0], along)
+        pumped += 0.5 * loads[:, 3:].sum(axis=0) @ np.cross(wall.normal, along)
     return float(pumped / (np.pi * viscosity))
+
+
+def along_wall(wall: Wall, direction: ArrayLike) -> np.ndarray:
+    """Return the unit vector along `direction`, (3,), which must be at right angles to the normal.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If it is not.
+    """
+    along = check.direction("direction", direction)
+    if abs(along @ wall.normal) > _PARALLEL:
+        raise ValueError(
+            f"direction must be along the wall, at right angles to its normal {wall.normal}, "
+            f"got {direction!r}"
+        )
+    return along

@@ -1,4 +1,4 @@
-"""From where a run is seen: all frames of it fit into the pictures."""
+"""From where a run is seen: all frames of it, and the wall under it, fit into the pictures."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrs.fluid import Wall
 from mrs.output.trajectory import Trajectory
 
 _VIEW = np.array([0.5, -1.0, 0.45])  # from where one looks at the scene
@@ -14,6 +15,8 @@ ANGLE = 30.0  # degrees that the camera sees, up
 TIP = 2.6  # radii from the centre of a swimmer's head to the tip of its arrow
 _MARGIN = 0.06  # of the picture, free on each side
 _FOOT = 0.12  # of the picture, free for the bar of colours
+_FAR = 5.0  # lengths of the scene to a wall that is not drawn: bodies would be small beside it
+_EDGE = 0.15  # of the scene's longest side, by which the wall goes on beyond the bodies
 _SAMPLE = 1_000_000  # points that the picture is fitted to, at most
 Camera = Sequence[Any]
 Places = list[int]  # of one frame in the file of each body
@@ -31,6 +34,7 @@ class Stage(NamedTuple):
     camera: Camera
     foot: float  # of the picture, free for the bar
     size: tuple[int, int]
+    floor: np.ndarray | None  # corners of the piece of wall under the bodies, (4, 3)
 
 
 def stage_of(
@@ -38,6 +42,7 @@ def stage_of(
     frames: list[Places],
     camera: Camera | None,
     size: tuple[int, int],
+    wall: Wall | None = None,
 ) -> Stage:
     """Return the stage; without a camera given, all frames fit into the picture above the bar.
 
@@ -50,20 +55,47 @@ def stage_of(
         Three numbers each.
     size : (width, height)
         In pixels.
+    wall : Wall, optional
+        Left out if it is far away.
     """
     points, reach = _points(bodies, frames), _reach(bodies)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
+    scene = (points - middle) / extent
+    floor = None if wall is None else _floor(scene, (wall.point - middle) / extent, wall.frame)
     if camera is not None:
         *places, up = np.asarray(camera, np.float64)
         view = [*((place - middle) / extent for place in places), up]
-        return Stage(middle, extent, view, 0.0, size)
+        return Stage(middle, extent, view, 0.0, size, floor)
     towards = _VIEW / np.linalg.norm(_VIEW)
     slope = np.tan(np.radians(ANGLE / 2)) * (1 - _MARGIN)
     slopes = np.array([slope * size[0] / size[1], slope * (1 - _FOOT)])
-    center, distance = _fit((points - middle) / extent, towards, slopes, reach / extent)
+    seen = scene if floor is None else np.concatenate([scene, floor])
+    center, distance = _fit(seen, towards, slopes, reach / extent)
     view = [center + distance * towards, center, (0, 0, 1)]
-    return Stage(middle, extent, view, _FOOT, size)
+    return Stage(middle, extent, view, _FOOT, size, floor)
+
+
+def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarray | None:
+    """Return the corners of the piece of wall under the bodies, (4, 3); None if it is far away.
+
+    They go round the normal.
+
+    Parameters
+    ----------
+    scene : (n, 3) float ndarray
+        Points of the bodies, in lengths of the scene.
+    origin : (3,) float ndarray
+        A point of the wall.
+    frame : (3, 3) float ndarray
+        Rows, of which the last is the wall's normal.
+    """
+    *plane, height = ((scene - origin) @ frame.T).T
+    if height.min() > _FAR:
+        return None
+    (west, east), (south, north) = ((x.min() - _EDGE, x.max() + _EDGE) for x in plane)
+    corners = np.array([[west, south], [east, south], [east, north], [west, north]])
+    return origin + corners @ frame[:2]
 
 
 def _points(bodies: list[Trajectory], frames: list[Places]) -> np.ndarray:

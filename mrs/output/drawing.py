@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 _COLORS = {"rods": "#3b6ea5", "swimmers": "#c8553d", "tracers": "#8a8f98"}
 _COLOR_MAP = "viridis"
-_PAPER, _INK = "white", "#303030"
+_PAPER, _INK, _WALL = "white", "#303030", "#d4d4ce"
 _LIGHTS = (((-1, 1, 2), 0.75), ((2, 0.5, 1), 0.35), ((0, -1, 1), 0.2))  # positions, intensities
 _SHARP = {"smooth_shading": True, "split_sharp_edges": True}
 _MATERIAL: dict[str, Any] = {
@@ -51,6 +51,8 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
         for position, intensity in _LIGHTS:
             light = pv.Light(position=position, light_type="camera light", intensity=intensity)
             plotter.add_light(light)
+        if stage.floor is not None:
+            _add_wall(plotter, stage.floor)
         for body, i in zip(bodies, places, strict=True):
             if body.topology.cells:
                 _add_body(plotter, body, i, colors, stage)
@@ -63,6 +65,14 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
         return np.asarray(plotter.screenshot(return_img=True))
     finally:
         plotter.close()
+
+
+def _add_wall(plotter: pv.Plotter, corners: np.ndarray) -> None:
+    """Draw a piece of wall as it is seen from the fluid: from behind it would hide the bodies."""
+    import pyvista as pv
+
+    wall = pv.PolyData(corners, faces=[4, 0, 1, 2, 3])
+    plotter.add_mesh(wall, color=_WALL, culling="back", lighting=False, render=False)
 
 
 def _add_body(plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, stage: Stage) -> None:

@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from mrs.fluid import Wall
 from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.camera import Camera, Places, stage_of
 from mrs.output.colors import colors_of
 from mrs.output.drawing import picture
 from mrs.output.frames import Frames, trajectories
+from mrs.output.stored import stored_boundary
 from mrs.output.trajectory import Trajectory
 
 _FILMS = (".mp4", ".gif")
@@ -34,7 +36,7 @@ def render(
     camera: Camera | None = None,
     size: tuple[int, int] = (1280, 800),
 ) -> Path:
-    """Draw a run: rods as tubes, swimmers as arrows with spheres, tracers as points.
+    """Draw a run: rods as tubes, swimmers as arrows with spheres, tracers as points, a wall.
 
     Parameters
     ----------
@@ -74,7 +76,9 @@ def render(
     with trajectories(directory) as bodies:
         frames = _frames(bodies, wanted)
         colors = colors_of(bodies, frames, color_by)
-        stage = stage_of(bodies, frames, camera, size)
+        boundary = stored_boundary(bodies[0].meta)
+        wall = boundary if isinstance(boundary, Wall) else None
+        stage = stage_of(bodies, frames, camera, size, wall)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
         run_directory.note_made(directory, destination)

@@ -52,8 +52,14 @@ def _boundary_meta(boundary: Boundary) -> dict[str, Any]:
     return meta
 
 
-def _stored_boundary(meta: Mapping[str, Any]) -> Boundary | None:
-    """Return the boundary that a file holds, if it holds its numbers."""
+def stored_boundary(meta: Mapping[str, Any]) -> Boundary | None:
+    """Return the boundary that a file holds, if it holds its numbers.
+
+    Parameters
+    ----------
+    meta : dict
+        Of a trajectory.
+    """
     kind = BOUNDARIES.get(meta.get("boundary kind", ""))
     if kind is None or not is_dataclass(kind):
         return None
@@ -131,7 +137,7 @@ class StoredFrame:
         elif background is None:
             self.unknown = meta.get("background")
         self._background = background
-        self._boundary = boundary or _stored_boundary(meta)
+        self._boundary = boundary or stored_boundary(meta)
         self.unknown_boundary = meta.get("boundary") if self._boundary is None else None
         self._sources = _sources(self._parts)
         self._sums = self._mobility(self._sources, "auto")

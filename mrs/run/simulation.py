@@ -166,6 +166,11 @@ class Simulation:
         Parameters
         ----------
         points : (N, 3) array_like
+
+        Raises
+        ------
+        ValueError
+            If a point is not in the fluid: there is no flow behind a wall.
         """
         return self.scene.velocity(check.points("points", points), self.now)
 

@@ -67,8 +67,11 @@ class System(Protocol):
     perturbation: np.ndarray
     """A small displacement of each coordinate, (P + Q, 1); 0 likewise."""
 
-    def rates(self, time: float, state: State) -> np.ndarray:
-        """Return velocities and angular velocities, (P + Q, 3)."""
+    def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
+        """Return velocities and angular velocities, (P + Q, 3).
+
+        With `near`, from which the state differs little, it may be one that `refusal` refuses.
+        """
 
     def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
         """Return why a state cannot be; None if it can, as by default."""
@@ -89,10 +92,10 @@ class Watched:
         self._system, self._look = system, look
         self.error_scale, self.perturbation = system.error_scale, system.perturbation
 
-    def rates(self, time: float, state: State) -> np.ndarray:
+    def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3)."""
         self._look()
-        return self._system.rates(time, state)
+        return self._system.rates(time, state, near)
 
     def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
         """Return why a state cannot be; None if it can."""
@@ -171,12 +174,12 @@ class Stepper:
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
         blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
 
-        def local_rates(t: float, z: np.ndarray) -> np.ndarray:
-            return state.local_rates(z, system.rates(t, state.moved(z)))
+        def rates_beside(z: np.ndarray) -> np.ndarray:
+            return state.local_rates(z, system.rates(time, state.moved(z), state))
 
         def f(t: float, z: np.ndarray) -> np.ndarray:
             try:
-                values = local_rates(t, z)
+                values = state.local_rates(z, system.rates(t, state.moved(z)))
             except check.NotFiniteValueError as error:
                 blamed.append(error)
                 values = np.full_like(z, np.nan)
@@ -190,7 +193,7 @@ class Stepper:
                 small = system.perturbation
                 if not small.all():
                     small = _filled(small, _SMALL * z, _SMALL * interval * rates)
-                self._estimate_radius(lambda y: local_rates(time, y), z, rates, small)
+                self._estimate_radius(rates_beside, z, rates, small)
             h = self._size(interval, rates, system.error_scale)
             self.taken = h
             lost.clear()

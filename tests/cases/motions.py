@@ -23,8 +23,11 @@ class Coupled(System):
         w = X[0] + 2.0 * np.cos(t) * D[0, 1] + (X[1] @ D[0, 2]) * D[0, 0]
         return np.array([u0, u1]), np.array([w])
 
-    def rates(self, t, state):
+    def rates(self, t, state, near=None):
         return np.concatenate(self.motion(t, state.positions, oracle.triads(state.quaternions)))
+
+    def refusal(self, time, state):
+        return None
 
     @staticmethod
     def start():
