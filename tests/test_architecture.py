@@ -164,7 +164,7 @@ ALLOWED = {
         "treecode.ranks",
     },
     "mrs.observables": {
-        "mrs.check", "mrs.fluid.mobility", "mrs.observables", "mrs.output", "mrs.registry",
+        "mrs.check", "mrs.fluid", "mrs.observables", "mrs.output", "mrs.registry",
         "mrs.rotations", "mrs.time.state",
         "mrs.run.simulation",  # its type
     },
