@@ -1,4 +1,4 @@
-"""Swimmers in a periodic box, pushing or pulling themselves through the fluid that all of them stir.
+"""Swimmers in a periodic box, pushing or pulling themselves through fluid that all of them stir.
 
 The picture: the pairs of particles of K 8.1 come to life. At first they point anywhere; where they
 meet they turn each other, and repel each other before they touch. Tracers between them are stirred.
@@ -31,7 +31,7 @@ class SwimmerSuspension(mrs.Scenario):
         "count": 60,
         "size": 5.0,
         "tracers": 60,
-        "t_end": 2.0,
+        "t_end": 1.0,
         "interval": 0.1,
     }
 
@@ -74,7 +74,9 @@ class SwimmerSuspension(mrs.Scenario):
         )
         drawn = np.random.default_rng((self.seed, 1)).random((self.tracers, 3))
         bodies = [swimmers, mrs.Tracers(self.size * (drawn - 0.5))]
-        box = {"boundary": mrs.Periodic(np.full(3, self.size))} if self.periodic else {}
+        box: dict[str, Any] = {}
+        if self.periodic:
+            box["boundary"] = mrs.Periodic(np.full(3, self.size))
         forces = [mrs.Steric(self.repulsion, self.epsilon)] if self.repulsion else []
         return mrs.Simulation(
             mrs.Fluid(epsilon=self.epsilon, **box), bodies, forces=forces, **common

@@ -18,6 +18,7 @@ SHEARED = np.array([[3.0, 0.0, 0.0], [1.2, 2.8, 0.0], [-0.5, 0.7, 2.6]])
 each_cell = pytest.mark.parametrize("cell", [CUBE, SHEARED], ids=["cube", "sheared"])
 CONTACT = mrs.Steric(2.0, 0.2, chi=1.5)  # reaches 0.6
 EXACT = mrs.Backend("direct", precision="float64")
+AT_HOME = np.zeros((13, 3))
 
 
 def lattice(count, cell, seed=7):
@@ -25,7 +26,7 @@ def lattice(count, cell, seed=7):
     return np.random.default_rng(seed).integers(-4, 5, (count, 3)) @ cell
 
 
-def bodies(cell, shifts=np.zeros((13, 3))):
+def bodies(cell, shifts=AT_HOME):
     """Return swimmers, rods and tracers that fill a cell, each moved by a row of `shifts`.
 
     The straight rod passes over the image of the ring.
@@ -43,7 +44,7 @@ def bodies(cell, shifts=np.zeros((13, 3))):
     return [swimmers, rods, mrs.Tracers(rng.random((5, 3)) @ cell + shifts[8:])]
 
 
-def scene(cell, shifts=np.zeros((13, 3)), **options):
+def scene(cell, shifts=AT_HOME, **options):
     fluid = mrs.Fluid(0.7, boundary=mrs.Periodic(cell))
     options = {"backend": EXACT, "forces": [CONTACT]} | options
     return mrs.Simulation(fluid, bodies(cell, shifts), **options)
@@ -232,7 +233,7 @@ def test_tracks_are_those_of_the_state(stored):
 def test_velocity_of_a_stored_frame(stored):
     """Frames have forces in singles, so 1e-6; and sums have the tolerance 1e-6."""
     path, sim = stored
-    points, velocity = mrs.frame_velocity(path)
+    _, velocity = mrs.frame_velocity(path)
     targets = np.random.default_rng(4).random((9, 3)) @ SHEARED
     expected = sim.velocity(targets)
     size = np.abs(expected).max()

@@ -134,7 +134,7 @@ def lattice_of(cell: ArrayLike) -> np.ndarray:
 
 
 def require_within(reach: float, lattice: np.ndarray) -> np.ndarray:
-    """Refuse bins that end beyond half of a cell; return its widths between opposite faces, (3,)."""
+    """Return the widths of a cell between opposite faces, (3,); bins may reach half of them."""
     widths = np.asarray(1.0 / np.linalg.norm(np.linalg.inv(lattice), axis=0))
     if reach > (1.0 + _ROUNDING) * 0.5 * widths.min():
         raise ValueError(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mrs.output.camera import ANGLE, TIP, Places, Stage
+from mrs.output.camera import ANGLE, TIP, Places, Stage, cell_corners
 from mrs.output.colors import Colors, field_at_points, magnitude
 from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata
@@ -51,6 +51,7 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
         for position, intensity in _LIGHTS:
             light = pv.Light(position=position, light_type="camera light", intensity=intensity)
             plotter.add_light(light)
+        _add_cell(plotter, bodies[0], stage)
         for body, i in zip(bodies, places, strict=True):
             if body.topology.cells:
                 _add_body(plotter, body, i, colors, stage)
@@ -63,6 +64,18 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
         return np.asarray(plotter.screenshot(return_img=True))
     finally:
         plotter.close()
+
+
+def _add_cell(plotter: pv.Plotter, body: Trajectory, stage: Stage) -> None:
+    """Draw the edges of the cell of a periodic run."""
+    import pyvista as pv
+
+    corners = (cell_corners(body) - stage.center) / stage.extent
+    if len(corners):
+        numbers = np.arange(8)
+        pairs = [(i, i | step) for i in numbers for step in (1, 2, 4) if not i & step]
+        lines = np.insert(pairs, 0, 2, axis=1)  # the number of points before each
+        plotter.add_mesh(pv.PolyData(corners, lines=lines), color=_INK, line_width=1, render=False)
 
 
 def _add_body(plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, stage: Stage) -> None:
