@@ -28,7 +28,7 @@ class CiliaArray(mrs.Scenario):
         "rows": 3,
         "columns": 3,
         "nodes": 31,
-        "epsilon": 0.35,
+        "epsilon": 0.26,
         "t_end": 1.0,
         "interval": 0.05,
     }

@@ -340,6 +340,21 @@ def test_one_tracer(tmp_path, place):
     assert 10 < (above_text.min(axis=-1) < 200).sum() < 100
 
 
+def test_edges_of_a_periodic_cell(tmp_path):
+    """Twelve thin lines about a tracer, which fill the picture; across there is nothing else."""
+    path = tmp_path / "tracers.vtkhdf"
+    cell = [[2.0, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 2.0]]
+    meta = {"kind": "tracers", "boundary kind": "periodic", "boundary cell": cell}
+    vtkhdf.create(path, Topology(np.arange(1), []), meta=meta)
+    vtkhdf.append(path, 0.0, np.array([[1.5, 1.0, 1.0]]))
+    render(tmp_path, tmp_path / "a.png", size=SIZE)
+    drawn = pixels(tmp_path / "a.png")[:170].min(axis=-1) < 220
+    rows, columns = np.nonzero(drawn)
+    assert np.ptp(rows) > 120
+    assert np.ptp(columns) > 120
+    assert 0.01 < drawn.mean() < 0.06
+
+
 def test_bodies_are_drawn_at_one_time(tmp_path):
     """A file that was begun anew later has other numbers for the same times."""
     rods(tmp_path)

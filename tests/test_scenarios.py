@@ -111,10 +111,11 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("rod_relaxation", {"t_end": 0.01, "nodes": 27, "twist": 0.0}),
         ("swimmer_suspension", {"t_end": 0.02, "count": 300}),  # many touch
         ("swimmer_suspension", {"t_end": 0.02, "stroke": "puller"}),
-        ("swimmer_suspension", {"t_end": 0.02, "count": 1}),
+        ("swimmer_suspension", {"t_end": 0.02, "count": 1, "periodic": False}),
         ("swimmer_at_wall", {"t_end": 0.1, "stroke": "puller"}),
         ("swimmer_at_wall", {"t_end": 0.1, "angle": 1.5, "height": 10.0}),  # repelled
         ("rod_above_wall", {"t_end": 1e-3, "height": 3.0}),
+        ("swimmer_suspension", {"t_end": 0.02, "periodic": False, "tracers": 0}),
         ("cilia_array", {"t_end": 0.02, "rows": 1}),
         ("cilia_array", {"t_end": 0.02, "rows": 5, "metachronal_wavelength": 6.0}),
         ("cilia_array", {"t_end": 0.02, "wall": False}),

@@ -244,6 +244,21 @@ def test_random_suspension(reach):
     np.testing.assert_array_equal(x, again[0])
 
 
+def test_random_suspension_in_a_periodic_box():
+    """Images keep the distance as well; the same draws without them do not."""
+    box = np.array([2.0, 3.0, 4.0])
+    least = {}
+    for periodic in (True, False):
+        x, p = mrs.random_suspension(60, box, 0.25, reach=1.0, seed=5, periodic=periodic)
+        points = oracle.swimmer_points(x, p, np.ones(60), 1.0)
+        apart = points[:, None] - points
+        apart -= box * np.round(apart / box)
+        number = np.tile(np.arange(60), 2)
+        distance = np.linalg.norm(apart, axis=2)
+        least[periodic] = distance[number[:, None] != number].min()
+    assert least[True] >= 0.25 > least[False]
+
+
 def test_random_directions_are_uniform():
     """Mean of p: 0, of p p: 1/3, within five standard deviations of 4000 draws."""
     _, p = mrs.random_suspension(4000, 100.0, 0.0, seed=2)

@@ -165,7 +165,13 @@ def _orient(along: np.ndarray) -> np.ndarray:
 
 @check.spelling
 def random_suspension(
-    count: int, size: ArrayLike, spacing: float, *, reach: float = 0.0, seed: int = 0
+    count: int,
+    size: ArrayLike,
+    spacing: float,
+    *,
+    reach: float = 0.0,
+    seed: int = 0,
+    periodic: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return random positions and orientations in a box, no two bodies closer than `spacing`.
 
@@ -180,6 +186,8 @@ def random_suspension(
         Where the flagellum is: at ``x_B - reach p`` (length for pushers, -length for pullers).
         0 leaves flagella out of the test.
     seed : int, optional
+    periodic : bool, optional
+        Whether the box repeats itself, so that the images of particles keep the distance as well.
 
     Raises
     ------
@@ -190,6 +198,7 @@ def random_suspension(
     edges = check.broadcast("size", size, (3,), 0.0)
     spacing = check.not_negative("spacing", spacing)
     reach = check.number("reach", reach, -1e60, 1e60)
+    check.flag("periodic", periodic)
     if count * spacing**3 * np.pi / 6.0 > 0.64 * edges.prod():  # random close packing
         raise ValueError(
             f"count: {count} swimmers {spacing:g} apart do not fit a box of size {size!r}"
@@ -202,7 +211,7 @@ def random_suspension(
             return positions, along
         positions = np.concatenate([positions, (rng.random((missing, 3)) - 0.5) * edges])
         along = np.concatenate([along, _random_directions(missing, rng)])
-        keep = _apart(positions, positions - reach * along, spacing)
+        keep = _apart(positions, positions - reach * along, spacing, edges if periodic else None)
         positions, along = positions[keep], along[keep]
     raise ValueError(
         f"count: {count} swimmers at least {spacing:g} apart do not fit a box of size {size!r}; "
@@ -210,10 +219,15 @@ def random_suspension(
     )
 
 
-def _apart(bodies: np.ndarray, flagella: np.ndarray, spacing: float) -> np.ndarray:
+def _apart(
+    bodies: np.ndarray, flagella: np.ndarray, spacing: float, box: np.ndarray | None
+) -> np.ndarray:
     """Return which swimmers to keep: of two that overlap, the earlier one."""
     count = len(bodies)
-    tree = scipy.spatial.cKDTree(np.concatenate([bodies, flagella]))
+    points = np.concatenate([bodies, flagella])
+    if box is not None:
+        points = points % box
+    tree = scipy.spatial.cKDTree(points, boxsize=box)
     pairs = tree.query_pairs(spacing, output_type="ndarray")
     pairs = np.sort(pairs % count, axis=1)
     keep = np.ones(count, bool)

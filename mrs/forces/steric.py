@@ -22,7 +22,8 @@ class Steric(Force):
 
     F_ij = (strength / 2a) [(4 chi^2 a^2 - r^2) / (4 chi^2 a^2 - 4 a^2)]^4 r_ij, which is `strength`
     at contact, r = 2a. Points of one rod nearer than that along the rod do not repel each other,
-    nor do the two particles of one swimmer. A wall repels each point as its mirror image would.
+    nor do the two particles of one swimmer. A wall repels each point as its mirror image would. In
+    a periodic box a body may touch its own image.
 
     Parameters
     ----------
@@ -91,7 +92,8 @@ class Steric(Force):
         i, j, between = _near_pairs(points, reach, box)
         along = np.abs(places[i] - places[j])
         along = np.minimum(along, rounds[i] - along)
-        apart = (pieces[i] != pieces[j]) | (along > reach)
+        by_image = np.linalg.norm(between - (points[i] - points[j]), axis=1) > reach
+        apart = (pieces[i] != pieces[j]) | (along > reach) | by_image
         i, j, between = i[apart], j[apart], between[apart]
         push = self._push(np.linalg.norm(between, axis=1))[:, None] * between
         forces = np.zeros_like(points)

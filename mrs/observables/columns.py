@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
-from mrs.fluid import Wall
+from mrs.fluid import Periodic, Wall
 from mrs.observables import flow, motion, structure
 from mrs.registry import Registry
 from mrs.time.state import State
@@ -216,7 +216,7 @@ class _ByDistance(_OfBody):
     bins : (k + 1,) array_like
         Edges of the bins.
     cell : (3,) or (3, 3) array_like, optional
-        Of a periodic box.
+        Of a periodic box; by default that of the fluid, if it is in one.
     """
 
     def __init__(self, body: str, bins: ArrayLike, cell: ArrayLike | None = None) -> None:
@@ -225,6 +225,18 @@ class _ByDistance(_OfBody):
         if cell is not None:
             structure.lattice_of(cell)  # refuse it now
         self.labels = _labels(0.5 * (self.bins[1:] + self.bins[:-1]))
+
+    def require(self, sim: Simulation) -> None:
+        """Refuse a simulation as others do, or one in a cell that is too small for the bins."""
+        super().require(sim)
+        cell = self.cell_of(sim)
+        if cell is not None:
+            structure.require_within(self.bins[-1], structure.lattice_of(cell))
+
+    def cell_of(self, sim: Simulation) -> ArrayLike | None:
+        """Return the cell of a periodic box, or None."""
+        box = sim.fluid.boundary
+        return box.vectors if self.cell is None and isinstance(box, Periodic) else self.cell
 
 
 @OBSERVABLES.register
@@ -245,7 +257,7 @@ class PairDistribution(_ByDistance):
     def __call__(self, sim: Simulation) -> np.ndarray:
         """Return g in each bin now, (k,)."""
         _, now = self.states(sim)
-        return structure.pair_distribution(now.positions, self.bins, self.cell)
+        return structure.pair_distribution(now.positions, self.bins, self.cell_of(sim))
 
 
 @OBSERVABLES.register
@@ -267,8 +279,8 @@ class OrientationCorrelation(_ByDistance):
     def __call__(self, sim: Simulation) -> np.ndarray:
         """Return the mean in each bin now, (k,)."""
         _, now = self.states(sim)
-        along = _directions(now)
-        return structure.orientation_correlation(now.positions, along, self.bins, self.cell)
+        along, cell = _directions(now), self.cell_of(sim)
+        return structure.orientation_correlation(now.positions, along, self.bins, cell)
 
 
 def _labels(values: np.ndarray) -> tuple[str, ...]:

@@ -9,6 +9,8 @@ from numpy.typing import ArrayLike
 from mrs import check
 from mrs.observables.motion import unit_vectors
 
+_ROUNDING = 1e-12  # part of a width that bins may reach beyond half of it
+
 
 def pair_distribution(
     positions: ArrayLike, bins: ArrayLike, cell: ArrayLike | None = None
@@ -131,6 +133,17 @@ def lattice_of(cell: ArrayLike) -> np.ndarray:
     return lattice
 
 
+def require_within(reach: float, lattice: np.ndarray) -> np.ndarray:
+    """Return the widths of a cell between opposite faces, (3,); bins may reach half of them."""
+    widths = np.asarray(1.0 / np.linalg.norm(np.linalg.inv(lattice), axis=0))
+    if reach > (1.0 + _ROUNDING) * 0.5 * widths.min():
+        raise ValueError(
+            f"bins must end within half the width of the cell, {0.5 * widths.min():g}, "
+            f"got {reach:g}"
+        )
+    return widths
+
+
 def _share_in_box(box: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Return the part of the pairs of two random points in a box that is in each bin."""
     if edges[-1] > box.min():
@@ -170,13 +183,8 @@ def _with_images(
     points: np.ndarray, lattice: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return points in the cell; them and their images within reach of it; the images' numbers."""
+    widths = require_within(reach, lattice)
     inverse = np.linalg.inv(lattice)
-    widths = 1.0 / np.linalg.norm(inverse, axis=0)  # between opposite faces
-    if reach > 0.5 * widths.min():
-        raise ValueError(
-            f"bins must end within half the width of the cell, {0.5 * widths.min():g}, "
-            f"got {reach:g}"
-        )
     inside = points @ inverse
     inside -= np.floor(inside)
     places, numbers = inside, np.arange(len(points))

@@ -59,6 +59,7 @@ def stage_of(
         Left out if it is far away.
     """
     points, reach = _points(bodies, frames), _reach(bodies)
+    points = np.concatenate([points, cell_corners(bodies[0])])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
     scene = (points - middle) / extent
@@ -96,6 +97,17 @@ def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarr
     (west, east), (south, north) = ((x.min() - _EDGE, x.max() + _EDGE) for x in plane)
     corners = np.array([[west, south], [east, south], [east, north], [west, north]])
     return origin + corners @ frame[:2]
+
+
+def cell_corners(body: Trajectory) -> np.ndarray:
+    """Return the corners of the cell of a periodic run, (8, 3), or none, (0, 3).
+
+    Bit d of the number of a corner says whether it is away from the first one along vector d.
+    """
+    if body.meta.get("boundary kind") != "periodic":
+        return np.empty((0, 3))
+    away = np.arange(8)[:, None] >> np.arange(3) & 1
+    return away @ np.reshape(body.meta["boundary cell"], (3, 3))
 
 
 def _points(bodies: list[Trajectory], frames: list[Places]) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -62,8 +62,7 @@ def _measurable(tables: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
 class Scenario(BaseModel):
     """Options of a scene; a subclass adds its own, and says how to build it.
 
-    Subclasses state in `quick` the options of a version that ends within seconds. In `log_columns`
-    they name columns of log.csv that they add, each a function of the simulation.
+    Subclasses state in `quick` the options of a version that ends within seconds.
 
     Raises
     ------
@@ -73,7 +72,6 @@ class Scenario(BaseModel):
 
     model_config = ConfigDict(extra="forbid", validate_default=True, allow_inf_nan=False)
     quick: ClassVar[dict[str, Any]] = {}
-    log_columns: ClassVar[dict[str, Callable[[Simulation], Any]]] = {}
 
     t_end: float = Field(1.0, gt=0, description="simulated time")
     interval: float = Field(0.1, gt=0, description="simulated time between frames")
@@ -101,6 +99,11 @@ class Scenario(BaseModel):
         except ValidationError as error:
             lines = [explain(type(self), item) for item in error.errors()]
             raise ScenarioError("\n".join(lines)) from None
+
+    @property
+    def log_columns(self) -> Mapping[str, Callable[[Simulation], Any]]:
+        """Columns of log.csv that a subclass adds, each a function of the simulation."""
+        return {}
 
     def build(self, **common: Any) -> Simulation:
         """Return the simulation; `common` goes to `Simulation` as it is."""

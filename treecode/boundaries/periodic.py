@@ -85,7 +85,7 @@ def _checked_cell(cell: Any) -> tuple[tuple[float, ...], ...]:
     except ValueError:  # ragged
         array = np.empty(0)
     if array.shape == (3,):
-        lengths = [check.positive(f"cell[{d}]", length) for d, length in enumerate(array)]
+        lengths = [check.positive(f"cell[{d}]", length) for d, length in enumerate(array.tolist())]
         array = np.diag(lengths)
     if array.shape != (3, 3):
         raise ValueError(f"cell must be three lengths or three lattice vectors, got {cell!r}")
