@@ -121,13 +121,15 @@ class Plan:
         if distributed:
             require_spread(backend)
         self._spread = bool(distributed) and self.ranks.size > 1
-        self.kernel = registry.require_kernel(kernel, backend)
-        require_counts(kernel)
-        require_unchanged(type(kernel))
         self.boundary = FreeSpace() if boundary is None else boundary
         if not isinstance(self.boundary, Boundary):
             raise TypeError(f"boundary must be a treecode.Boundary, got {boundary!r}")
-        self._bounded = registry.require_kernel(self.boundary.bounded(kernel), backend)
+        free = isinstance(self.boundary, FreeSpace)
+        self.kernel = registry.require_kernel(kernel, backend if free else AUTO)
+        require_counts(kernel)
+        require_unchanged(type(kernel))
+        self._bounded = self.boundary.bounded(kernel)
+        registry.require_within(self._bounded, backend, self.boundary)
         self.lock = Lock()
         self._progress = progress
         self._search: Search | None = None

@@ -15,6 +15,7 @@ from treecode.ranks import ranks_of
 
 DIRECT = tc.EXACT.backend  # the name of sums of which none are more accurate
 _KINDS: tuple[Any, ...] = tc.RegularizedStokeslet, tc.RegularizedStokesletRotlet  # without, with
+_BOX = tc.Periodic((1.0, 1.0, 1.0))  # some methods sum in boxes only
 _SAMPLES = 1000  # points at which errors are sampled for the log
 _LEAST_TOLERANCE = 2e-13  # that can be asked of a sum
 
@@ -53,7 +54,9 @@ class Backend:
     def __post_init__(self) -> None:
         check.one_of("name", self.name, self.names())
         check.number("tolerance", self.tolerance, 1e-12, 1.0)
-        tc.Plan(_KINDS[0](epsilon=1.0), **self.options(self.tolerance))  # refuses the rest
+        kernel, options = _KINDS[0](epsilon=1.0), self.options(self.tolerance)
+        anywhere = self.name == "auto" or tc.methods.get(self.name).takes(kernel)
+        tc.Plan(kernel, **options, boundary=None if anywhere else _BOX)  # refuses the rest
 
     @staticmethod
     def names() -> tuple[str, ...]:

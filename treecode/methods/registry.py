@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from treecode import check
-from treecode.boundaries.base import BoundedKernel
+from treecode.boundaries.base import Boundary, BoundedKernel
 from treecode.boundaries.within import Within
 from treecode.kernels.base import Kernel
 from treecode.methods.base import Method, Parameter, Sum
@@ -81,17 +81,21 @@ def require_kernel(kernel: Any, backend: str) -> Any:
     taken = any(method.takes(kernel) for method in methods)
     members = () if taken else Method.members if backend == AUTO else methods[0].members
     others = [name for name, method in _methods.items() if method.any_kernel]
-    if not isinstance(kernel, BoundedKernel):
-        return check.kernel(kernel, backend, members, others)
-    for term in kernel.terms:
-        check.kernel(term.kernel, AUTO, Method.members, others)
-        if backend != AUTO and not get(backend).takes(term.kernel):
-            able_ones = ", ".join(repr(method.name) for method in able(kernel))
-            raise ValueError(
-                f"backend must be {able_ones} or {AUTO!r} within {kernel.boundary}, got "
-                f"{backend!r}, which cannot sum its term {type(term.kernel).__name__}"
-            )
-    return kernel
+    if isinstance(kernel, BoundedKernel):
+        for term in kernel.terms:
+            require_kernel(term.kernel, backend)
+        return kernel
+    return check.kernel(kernel, backend, members, others)
+
+
+def require_within(kernel: Any, backend: str, boundary: Boundary) -> None:
+    """Refuse a backend that cannot sum within a boundary, where `kernel` is summed."""
+    able_names = [method.name for method in able(kernel)]
+    if backend != AUTO and backend not in able_names:
+        allowed = ", ".join(map(repr, able_names))
+        raise ValueError(
+            f"backend must be {allowed} or {AUTO!r} within {boundary}, got {backend!r}"
+        )
 
 
 class Choice:
