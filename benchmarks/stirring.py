@@ -155,8 +155,9 @@ def main() -> None:
     lines = [
         "# Stirring\n",
         f"{machine_today()}. Written by `python -m benchmarks.stirring`.\n",
-        f"{count} swimmers of length 1 and thrust 1, and as many tracers, to t = {time:g} in a box of",
-        f"edge {edge(count):.4g}. Viscosity 1. Means over {options.seeds} seeds, with standard errors.\n",
+        f"{count} swimmers of length 1 and thrust 1, and as many tracers, in a box of edge",
+        f"{edge(count):.4g}, to t = {time:g}. Viscosity 1. Means over {options.seeds} seeds, with",
+        "standard errors.\n",
         "## Mean square displacement of tracers\n",
         *displacements(runs, time / FRAMES),
         "\n## Other numbers\n",
