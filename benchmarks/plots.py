@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from benchmarks.methods import DIRECT, FMM, KITC, TAYLOR
+from benchmarks.methods import DIRECT, EWALD, FMM, KITC, TAYLOR
 from benchmarks.rows import Row
 
 # Okabe and Ito's colours, which differ for colour-blind readers as well
@@ -14,6 +14,7 @@ COLORS = {
     KITC: "#0072B2",
     TAYLOR: "#D55E00",
     FMM: "#009E73",
+    EWALD: "#56B4E9",
     "fmm3d": "#CC79A7",
     "euler": "#000000",
     "heun": "#E69F00",

@@ -4,6 +4,7 @@ The docstring is the head of its page.
 """
 
 from benchmarks.experiments import (
+    boundaries,
     carpet,
     curve,
     epsilon,
@@ -21,5 +22,6 @@ ALL = {
     module.__name__.rpartition(".")[2]: module
     for module in (
         curve, growth, rods, taylor, uneven, epsilon, threads, ranks, memory, stepping, carpet,
+        boundaries,
     )
 }  # fmt: skip
