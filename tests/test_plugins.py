@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 import mrs
 from mrs.run import cli, scenario_files
 from tests.cases import rod_oracle as oracle
-from tests.plugins import adams_bashforth, crossing, gravity, symmetry_plane, weights, xyz
+from tests.plugins import crossing, symmetry_plane
+from tests.plugins.registered import NAMES, PARTS, adams_bashforth, gravity, weights, xyz
 
 EPSILON, VISCOSITY, FORCE = 0.1, 2.0, 3.0
 SPEED = FORCE / (4.0 * np.pi * VISCOSITY * EPSILON)  # of one blob: H1(0) = 1 / (4 pi epsilon)
@@ -30,15 +31,6 @@ positions = [[0, 0, 0]]
 force = [3.0, 0, 0]
 epsilon = 0.1
 """
-
-# The plugins have registered these when they were imported; other tests must not meet them.
-NAMES = (
-    (mrs.BODIES, "weights"),
-    (mrs.FORCES, "gravity"),
-    (mrs.FORMATS, "xyz"),
-    (mrs.INTEGRATORS, "ab2"),
-)
-PARTS = [registry.pop(name) for registry, name in NAMES]
 
 
 @pytest.fixture(autouse=True)

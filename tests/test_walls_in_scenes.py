@@ -6,13 +6,11 @@ import pytest
 import mrs
 from mrs.scenarios.swimmer_at_wall import SwimmerAtWall
 from tests.cases import wall_oracle
-from tests.plugins.weights import Weights
+from tests.plugins.registered import weights
 
 EPSILON, MU = 0.1, 0.7
 WALL = mrs.Wall()
 TILTED = mrs.Wall([1.0, -2.0, 0.5], [0.36, 0.48, 0.8])
-
-del mrs.BODIES["weights"]  # that was registered by its import; other tests must not meet it
 
 
 def swimmer(position=(0.0, 0.0, 1.0), direction=(0.0, 0.0, -1.0), **options):
@@ -140,7 +138,7 @@ def test_steric_repulsion_from_a_wall():
 def test_a_sedimenting_point_comes_to_rest_on_the_wall():
     """There the repulsion bears its weight."""
     steric = mrs.Steric(strength=4.0, radius=EPSILON)
-    weight = Weights([(0.3, -0.2, 0.5)], (0.0, 0.0, -1.0), EPSILON)
+    weight = weights.Weights([(0.3, -0.2, 0.5)], (0.0, 0.0, -1.0), EPSILON)
     sim = mrs.Simulation(mrs.Fluid(boundary=WALL), [weight], forces=[steric]).run(10.0)
     (height,) = WALL.heights(sim.state.positions)
     assert EPSILON < height < 1.1 * EPSILON

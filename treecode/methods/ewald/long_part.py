@@ -10,9 +10,8 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import finufft
 import numpy as np
-from scipy.interpolate import make_interp_spline
+import scipy
 
 from treecode._jit import compiled, inlined
 from treecode.methods.ewald.split import multiplier
@@ -70,7 +69,9 @@ def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -
         k2 = k2[used]
         # As a function of log k it is smooth, which it is not at k = 0.
         knots = np.linspace(0.5 * math.log(k2.min()) - 0.1, math.log(largest) + 0.1, _KNOTS)
-        smooth = make_interp_spline(knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE)
+        smooth = scipy.interpolate.make_interp_spline(
+            knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE
+        )
         unit = 4.0 * math.pi / abs(np.linalg.det(vectors))
         chi[used] = unit * smooth(0.5 * np.log(k2)) / k2
     return Waves(counts, reciprocal, chi)
@@ -112,11 +113,15 @@ def to_waves(
     places: np.ndarray, strengths: np.ndarray, shape: tuple[int, ...], precision: Precision
 ) -> np.ndarray:
     """Return the transform of complex strengths, (N,), at points in parts of lattice vectors."""
+    import finufft  # not before it is used: free space needs none
+
     return _transform(finufft.nufft3d1, places, strengths, precision, isign=-1, n_modes=shape)
 
 
 def from_waves(places: np.ndarray, modes: np.ndarray, precision: Precision) -> np.ndarray:
     """Return the sum of waves, (M,), at points in parts of lattice vectors."""
+    import finufft
+
     return _transform(finufft.nufft3d2, places, modes, precision, isign=1)
 
 

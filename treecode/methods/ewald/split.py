@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.special import erfc, exp1, expn, kv
+import scipy
 
 _SERIES = 2.0  # (epsilon xi)^2 up to which the series of the multiplier is used;
 _NODES, _RULE = 0.5 * np.array(np.polynomial.legendre.leggauss(60))  # beyond a Gauss rule
@@ -32,7 +32,7 @@ def short_functions(r2: np.ndarray, epsilon: float, xi: float) -> list[np.ndarra
     R2 = r2 + epsilon**2
     R = np.sqrt(R2)
     gaussian = 2.0 * xi / math.sqrt(math.pi) * np.exp(-(xi**2) * R2)
-    functions = [erfc(xi * R) / R]
+    functions = [scipy.special.erfc(xi * R) / R]
     for n in range(3):
         functions.append(((2 * n + 1) * functions[n] + (2.0 * xi**2) ** n * gaussian) / R2)
     return functions
@@ -53,11 +53,13 @@ def multiplier(k: np.ndarray, epsilon: float, xi: float) -> np.ndarray:
     while abs(factor) > 1e-18:
         n += 1
         factor *= -a / n
-        integral = (decay / s0, exp1(s0))[n - 1] if n < 3 else expn(n - 1, s0)
+        integral = (
+            (decay / s0, scipy.special.exp1(s0))[n - 1] if n < 3 else scipy.special.expn(n - 1, s0)
+        )
         total = total + factor * s0**2 * integral
     return total
 
 
 def blob(x: np.ndarray) -> np.ndarray:
     """Return the transform of the blob at x = epsilon k > 0."""
-    return np.asarray(0.5 * x**2 * kv(2, x))
+    return np.asarray(0.5 * x**2 * scipy.special.kv(2, x))

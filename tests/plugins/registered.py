@@ -1,0 +1,14 @@
+"""What the plugins have registered when they were imported: other tests must not meet it."""
+
+import mrs
+from tests.plugins import adams_bashforth, gravity, weights, xyz
+
+__all__ = ["NAMES", "PARTS", "adams_bashforth", "gravity", "weights", "xyz"]
+
+NAMES = (
+    (mrs.BODIES, "weights"),
+    (mrs.FORCES, "gravity"),
+    (mrs.FORMATS, "xyz"),
+    (mrs.INTEGRATORS, "ab2"),
+)
+PARTS = [registry.pop(name) for registry, name in NAMES]
