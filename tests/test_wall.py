@@ -336,6 +336,21 @@ def test_a_kernel_without_a_wall():
         direct(tc.StokesletStresslet(), np.ones((5, 3)), np.ones((5, 9)))
 
 
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_singular_sources_on_a_tilted_wall(precision):
+    """They are on it but for rounding, and have no flow: an image that was off by it made 1e16."""
+    rng = np.random.default_rng(14)
+    wall = tc.Wall((0.3, -1.1, 0.7), (1.0, 2.0, -0.5))
+    points, forces = rng.random((60, 3)) @ wall.frame + wall.point, rng.standard_normal((60, 3))
+    points[:20] -= np.outer(wall.heights(points[:20]), wall.normal)
+    options = {"backend": "direct", "boundary": wall, "precision": precision}
+    flow = tc.evaluate(tc.Stokeslet(), points, forces, **options)
+    without = tc.evaluate(tc.Stokeslet(), points[20:], forces[20:], points, **options)
+    size = np.abs(forces).max() / np.abs(wall.heights(points[20:])).mean()
+    error = {"float64": 1e-12, "float32": 1e-5}[precision]
+    np.testing.assert_allclose(flow, without, atol=error * size * len(points))
+
+
 @pytest.mark.parametrize("kernel", [FORCE, tc.Stokeslet()])
 def test_taylor_converges(kernel):
     """Errors of forces over a wall fall as 0.6^p for theta = 0.5, or faster."""

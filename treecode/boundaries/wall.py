@@ -19,6 +19,8 @@ from treecode.kernels.wall_correction import (
     WallCorrection,
 )
 
+_ROUNDING = 8.0 * np.finfo(float).eps
+
 
 @dataclass(frozen=True)
 class Wall(Boundary):
@@ -89,13 +91,18 @@ class Wall(Boundary):
 
     def outside(self, points: np.ndarray) -> np.ndarray:
         """Return the rows of points, (N, 3), that are behind the wall."""
-        # Points on the wall may be behind it by rounding.
-        rounding = 8.0 * np.finfo(float).eps * np.abs(points - np.array(self.point)).sum(axis=1)
-        return np.flatnonzero(self.heights(points) < -rounding)
+        return np.flatnonzero(self.heights(points) < 0.0)
 
     def heights(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances of points, (N, 3), from the wall, (N,); negative behind it."""
-        return np.asarray((points - np.array(self.point)) @ np.array(self.normal))
+        """Return the distances of points, (N, 3), from the wall, (N,); negative behind it.
+
+        Points on the wall but for rounding are on it. A singular source would else be next to an
+        image that is not quite where it is.
+        """
+        away = points - np.array(self.point)
+        heights = away @ np.array(self.normal)
+        heights[np.abs(heights) <= _ROUNDING * np.abs(away).sum(axis=1)] = 0.0
+        return np.asarray(heights)
 
     @property
     def frame(self) -> np.ndarray:
@@ -123,7 +130,8 @@ class Wall(Boundary):
         return np.concatenate([strengths, np.concatenate(images, axis=1)])
 
     def _to_frame(self, points: np.ndarray) -> np.ndarray:
-        return np.asarray((points - np.array(self.point)) @ self.frame.T)
+        along = (points - np.array(self.point)) @ self.frame[:2].T
+        return np.column_stack([along, self.heights(points)])
 
     def _images_in_frame(self, points: np.ndarray) -> np.ndarray:
         return self._to_frame(points) * [1.0, 1.0, -1.0]
