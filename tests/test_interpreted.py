@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
+from tests.cases import wall_oracle
 from tests.cases.oracle import each_backend, each_kernel, exact, random_case
 
 pytestmark = pytest.mark.interpreted
@@ -25,6 +26,27 @@ def test_small_sums(kernel, backend):
         assert plan.info()["far_pairs"] > 0
         assert plan.info()["depth"] > 1
         assert tc.relative_error(values, expected) < 0.6**2
+
+
+def test_loads_over_a_wall():
+    """Against the formulas written out."""
+    kernel = tc.RegularizedStokesletRotlet(0.1)
+    rng = np.random.default_rng(2)
+    points, loads = rng.random((12, 3)), rng.standard_normal((12, 6))
+    plan = tc.Plan(kernel, "direct", boundary=tc.Wall()).set_points(points)
+    expected = wall_oracle.flow(points, points, loads, 0.1, 1.0)
+    assert tc.relative_error(plan.execute(loads), expected) < 1e-12
+
+
+@pytest.mark.parametrize("kernel", [tc.RegularizedStokeslet(0.1), tc.Stokeslet()])
+def test_taylor_over_a_wall(kernel):
+    points, strengths, targets = random_case(kernel, 70, 3, targets=5)
+    wall = {"boundary": tc.Wall((0.0, 0.0, min(points[:, 2].min(), targets[:, 2].min())))}
+    plan = tc.Plan(kernel, "taylor", theta=0.6, degree=1, leaf_size=9, **wall)
+    values = plan.set_points(points, targets).execute(strengths)
+    expected = tc.evaluate(kernel, points, strengths, targets, backend="direct", **wall)
+    assert plan.info()["far_pairs"] > 0
+    assert tc.relative_error(values, expected) < 0.6**2
 
 
 @each_kernel
