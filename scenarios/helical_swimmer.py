@@ -61,10 +61,14 @@ class HelicalSwimmer(mrs.Scenario):
         nodes that feel only their own drag do not swim.
         """
         now = sim.now
-        speed = np.linalg.norm(now.motion[:, :3].mean(axis=0))
-        velocity = flow(now.points, now.points, now.loads, sim.fluid)
-        expected = np.linalg.norm(velocity.mean(axis=0))
-        return mrs.Check("swimming speed", float(speed), float(expected), 0.01)
+        return swimming_speed(sim, flow(now.points, now.points, now.loads, sim.fluid))
+
+
+def swimming_speed(sim: mrs.Simulation, velocity: np.ndarray) -> mrs.Check:
+    """Return the speed of the middle of all points beside that by their velocities, (N, 3)."""
+    speed = np.linalg.norm(sim.now.motion[:, :3].mean(axis=0))
+    expected = np.linalg.norm(velocity.mean(axis=0))
+    return mrs.Check("swimming speed", float(speed), float(expected), 0.01)
 
 
 def flow(

@@ -310,3 +310,13 @@ def test_a_box_in_toml(tmp_path):
     scenario = scenario_files.make(*scenario_files.read_input(tmp_path / "bad.toml"))
     with pytest.raises(mrs.ScenarioError, match=r"^fluid: boundary: cell\[1\] must be .*got 0\.0$"):
         scenario.simulation()
+
+
+def test_a_boundary_is_named_by_its_kind():
+    """The message is about the kind that was asked for, and no other."""
+    fluid = {"epsilon": 0.1, "boundary": {"kind": "wal"}}
+    with pytest.raises(mrs.ScenarioError, match=r"^fluid\.boundary: .*'wall', 'periodic'"):
+        scenario_files.make("scene", {"fluid": fluid})
+    fluid["boundary"] = {"kind": "periodic", "size": 1.0}
+    with pytest.raises(mrs.ScenarioError, match=r"^fluid\.boundary\.periodic\.cell: must be given"):
+        scenario_files.make("scene", {"fluid": fluid})

@@ -296,7 +296,10 @@ REFUSED = [
     (lambda: obs.pair_distribution(LINE[:1], BINS), "at least two points, got 1"),
     (lambda: obs.pair_distribution(LINE, [0, 2.5]), "shortest edge 2 of the box .*got 2.5"),
     (lambda: obs.pair_distribution(LINE, [0, 2.5], [4, 9, 9]), "half the width .*, 2, got 2.5"),
-    (lambda: obs.pair_distribution(LINE, BINS, np.ones((3, 3))), "cell must have a volume"),
+    (
+        lambda: obs.pair_distribution(LINE, BINS, np.ones((3, 3))),
+        "cell must have a positive volume",
+    ),
     (lambda: obs.pair_distribution(LINE, [1.0, 1.0]), "bins must be .* that increase"),
     (lambda: obs.pair_distribution(LINE, [-1.0, 1.0]), "bins must not be negative, got -1"),
     (lambda: obs.orientation_correlation(LINE, LINE, BINS), "directions must not be zero, got 1"),

@@ -91,7 +91,8 @@ def test_tracks_are_unwrapped(tmp_path):
     """Points of a periodic run are stored in the cell, with the numbers of its images."""
     cell = np.array([[2.0, 0.0, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]])
     path = tmp_path / "tracers.vtkhdf"
-    vtkhdf.create(path, Topology(np.arange(2), []), meta={"boundary cell": cell.ravel()})
+    meta = {"boundary kind": "periodic", "boundary cell": cell}
+    vtkhdf.create(path, Topology(np.arange(2), []), meta=meta)
     unwrapped = np.random.default_rng(4).uniform(-9.0, 9.0, (3, 2, 3))
     for time, points in enumerate(unwrapped):
         image = np.floor(points @ np.linalg.inv(cell)).astype(int)

@@ -12,7 +12,7 @@ import numpy as np
 from treecode import check
 from treecode._jit import require_unchanged
 from treecode.accuracy import Parts
-from treecode.boundaries.base import Boundary, FreeSpace
+from treecode.boundaries.base import Boundary, FreeSpace, columns
 from treecode.choice.sampling import WATCHED, in_given_order, sampled_error, seems_kept
 from treecode.choice.search import Search
 from treecode.choice.spread import SpreadSearch
@@ -251,12 +251,12 @@ class Plan:
             self._parts = Parts.of(self.kernel, counts[1], groups, over)
             self._watched = self._parts.watch(WATCHED)
         self._at_watched = (sources if targets is None else targets)[self._watched].T
-        columns = _columns(sources), None if targets is None else _columns(targets)
+        points = columns(sources), None if targets is None else columns(targets)
         if self._sum:
-            self._sum.set_points(*columns)
+            self._sum.set_points(*points)
             self._unsorted = None
         else:
-            self._unsorted = columns
+            self._unsorted = points
         self._points_set = True
         return self
 
@@ -448,8 +448,3 @@ def _checked_keywords(backend: str, keywords: dict[str, Any]) -> dict[str, Any]:
     declared = {**KEYWORDS, **registry.parameters(backend)}
     given = {name: value for name, value in keywords.items() if value is not None}
     return {name: declared[name].check(name, value) for name, value in given.items()}
-
-
-def _columns(points: np.ndarray) -> np.ndarray:
-    """Return a copy by coordinates, (3, N): the sums sort it."""
-    return np.array(points.T, order="C")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 from typing import ClassVar
 
 import numpy as np
@@ -55,15 +54,20 @@ class Steric(Force):
             forces += self.from_wall(points, fluid.boundary)
         return forces
 
+    @property
+    def reach(self) -> float:
+        """Distance from which points repel each other."""
+        return 2.0 * self.chi * self.radius
+
     def from_wall(self, points: np.ndarray, wall: Wall) -> np.ndarray:
         """Return the repulsion of points, (N, 3), by their mirror images in a wall."""
         distance = 2.0 * wall.heights(points)
-        return self._push(np.abs(distance))[:, None] * np.outer(distance, wall.normal)
+        return self._push(distance**2)[:, None] * np.outer(distance, wall.normal)
 
-    def _push(self, distance: np.ndarray) -> np.ndarray:
-        """Return the repulsion of points at some distances over the distance, (n,)."""
-        reach = 2.0 * self.chi * self.radius
-        nearness = np.maximum(reach**2 - distance**2, 0.0) / (reach**2 - 4.0 * self.radius**2)
+    def _push(self, distance2: np.ndarray) -> np.ndarray:
+        """Return the repulsion over the distance, (n,), at squares of distances."""
+        nearness = np.maximum(self.reach**2 - distance2, 0.0)
+        nearness /= self.reach**2 - 4.0 * self.radius**2
         return np.asarray(self.strength / (2.0 * self.radius) * nearness**4)
 
     def between(
@@ -88,48 +92,33 @@ class Steric(Force):
         box : Periodic, optional
             Whose images repel each other as well.
         """
-        reach = 2.0 * self.chi * self.radius
-        i, j, between = _near_pairs(points, reach, box)
+        spots, owners = points, np.arange(len(points))
+        if box is not None:
+            self._require_room(box)
+            spots, owners = box.with_images(points, self.reach)
+        pairs = scipy.spatial.cKDTree(spots).query_pairs(self.reach, output_type="ndarray")
+        i, j = owners[pairs].T
         along = np.abs(places[i] - places[j])
         along = np.minimum(along, rounds[i] - along)
-        by_image = np.linalg.norm(between - (points[i] - points[j]), axis=1) > reach
-        apart = (pieces[i] != pieces[j]) | (along > reach) | by_image
-        i, j, between = i[apart], j[apart], between[apart]
-        push = self._push(np.linalg.norm(between, axis=1))[:, None] * between
+        apart = (pieces[i] != pieces[j]) | (along > self.reach)
+        if box is not None:
+            first, second = pairs.T
+            shift = spots[first] - spots[second] - (points[i] - points[j])
+            apart |= np.linalg.norm(shift, axis=1) > self.reach  # a piece meets its own image
+            # A pair across a face is found on both sides of the box, once from each point.
+            apart &= (first < len(points)) & ((second < len(points)) | (i < j))
+        i, j, (first, second) = i[apart], j[apart], pairs[apart].T
+        between = spots[first] - spots[second]
+        push = self._push(np.einsum("ni,ni->n", between, between))[:, None] * between
         forces = np.zeros_like(points)
         np.add.at(forces, i, push)
         np.subtract.at(forces, j, push)
         return forces
 
-
-def _near_pairs(
-    points: np.ndarray, reach: float, box: Periodic | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return pairs i, j of points nearer than `reach`, and the way from j to i, each pair once.
-
-    In a box the nearest images of points count: copies of those near a face are put beyond the
-    opposite one, which serves cells of any shape.
-    """
-    count = len(points)
-    owners = np.arange(count)
-    if box is not None:
-        margin = reach / box.heights
-        if margin.max() > 0.5:
+    def _require_room(self, box: Periodic) -> None:
+        """Refuse a box in which a point could touch two images of another."""
+        if self.reach > 0.5 * box.heights.min():
             raise ValueError(
-                f"radius must be small beside the box: points repel each other up to {reach:g}, "
-                f"and the box is only {box.heights.min():g} high"
+                f"radius must be small beside the box: points repel each other up to "
+                f"{self.reach:g}, and the box is only {box.heights.min():g} high"
             )
-        inside = points @ np.linalg.inv(box.vectors)
-        inside -= np.floor(inside)
-        copies, of = [inside], [owners]
-        for shift in product((0.0, -1.0, 1.0), repeat=3):
-            moved = inside + shift
-            near = np.all((moved > -margin) & (moved < 1.0 + margin), axis=1) & any(shift)
-            copies.append(moved[near])
-            of.append(np.flatnonzero(near))
-        points, owners = np.concatenate(copies) @ box.vectors, np.concatenate(of)
-    i, j = scipy.spatial.cKDTree(points).query_pairs(reach, output_type="ndarray").T
-    # A pair across a face is found on both sides of the box, once from each point.
-    once = (i < count) & ((j < count) | (owners[i] < owners[j]))
-    i, j = i[once], j[once]
-    return i, owners[j], points[i] - points[j]

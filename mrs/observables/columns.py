@@ -223,7 +223,7 @@ class _ByDistance(_OfBody):
         super().__init__(body)
         self.bins, self.cell = structure.bin_edges(bins), cell
         if cell is not None:
-            structure.lattice_of(cell)  # refuse it now
+            Periodic(cell)  # refuse it now
         self.labels = _labels(0.5 * (self.bins[1:] + self.bins[:-1]))
 
     def require(self, sim: Simulation) -> None:
@@ -231,7 +231,7 @@ class _ByDistance(_OfBody):
         super().require(sim)
         cell = self.cell_of(sim)
         if cell is not None:
-            structure.require_within(self.bins[-1], structure.lattice_of(cell))
+            structure.require_within(self.bins[-1], Periodic(cell))
 
     def cell_of(self, sim: Simulation) -> ArrayLike | None:
         """Return the cell of a periodic box, or None."""

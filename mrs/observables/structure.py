@@ -7,6 +7,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from mrs import check
+from mrs.fluid import Periodic
 from mrs.observables.motion import unit_vectors
 
 _ROUNDING = 1e-12  # part of a width that bins may reach beyond half of it
@@ -47,7 +48,7 @@ def pair_distribution(
     if cell is None:
         share = _share_in_box(np.ptp(points, axis=0), edges)
     else:
-        share = np.diff(4.0 / 3.0 * np.pi * edges**3) / abs(np.linalg.det(lattice_of(cell)))
+        share = np.diff(4.0 / 3.0 * np.pi * edges**3) / abs(np.linalg.det(Periodic(cell).vectors))
     return _sums_over_pairs(points, np.ones((count, 1)), edges, cell) / (
         count * (count - 1) * share
     )
@@ -124,24 +125,13 @@ def bin_edges(bins: ArrayLike) -> np.ndarray:
     return edges
 
 
-def lattice_of(cell: ArrayLike) -> np.ndarray:
-    """Return lattice vectors in rows."""
-    lattice = check.shaped("cell", cell, (3,), (3, 3))
-    lattice = np.diag(lattice) if lattice.ndim == 1 else lattice
-    if np.linalg.matrix_rank(lattice) < 3:
-        raise ValueError(f"cell must have a volume, got {cell!r}")
-    return lattice
-
-
-def require_within(reach: float, lattice: np.ndarray) -> np.ndarray:
-    """Return the widths of a cell between opposite faces, (3,); bins may reach half of them."""
-    widths = np.asarray(1.0 / np.linalg.norm(np.linalg.inv(lattice), axis=0))
-    if reach > (1.0 + _ROUNDING) * 0.5 * widths.min():
+def require_within(reach: float, box: Periodic) -> None:
+    """Refuse bins that reach beyond half the width of a periodic box."""
+    half = 0.5 * box.heights.min()
+    if reach > (1.0 + _ROUNDING) * half:
         raise ValueError(
-            f"bins must end within half the width of the cell, {0.5 * widths.min():g}, "
-            f"got {reach:g}"
+            f"bins must end within half the width of the cell, {half:g}, got {reach:g}"
         )
-    return widths
 
 
 def _share_in_box(box: np.ndarray, edges: np.ndarray) -> np.ndarray:
@@ -167,30 +157,15 @@ def _sums_over_pairs(
     points: np.ndarray, values: np.ndarray, edges: np.ndarray, cell: ArrayLike | None
 ) -> np.ndarray:
     """Return the sums of v_i . v_j over ordered pairs in each bin of distance, (k,)."""
-    numbers = np.arange(len(points))
-    others = points
+    others, numbers = points, np.arange(len(points))
     if cell is not None:
-        points, others, numbers = _with_images(points, lattice_of(cell), edges[-1])
+        box = Periodic(cell)
+        require_within(edges[-1], box)
+        others, numbers = box.with_images(points, edges[-1])
+        points = others[: len(points)]
     own, all_others = scipy.spatial.cKDTree(points), scipy.spatial.cKDTree(others)
     sums = [
         own.count_neighbors(all_others, edges, weights=(v, v[numbers]), cumulative=False)
         for v in values.T
     ]
     return np.sum(sums, axis=0)[1:]  # the first has distances up to the first edge: 0 is a point
-
-
-def _with_images(
-    points: np.ndarray, lattice: np.ndarray, reach: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return points in the cell; them and their images within reach of it; the images' numbers."""
-    widths = require_within(reach, lattice)
-    inverse = np.linalg.inv(lattice)
-    inside = points @ inverse
-    inside -= np.floor(inside)
-    places, numbers = inside, np.arange(len(points))
-    for axis, near in enumerate(reach / widths):
-        step = np.eye(3)[axis]
-        low, high = places[:, axis] <= near, places[:, axis] >= 1.0 - near
-        places = np.concatenate([places, places[low] + step, places[high] - step])
-        numbers = np.concatenate([numbers, numbers[low], numbers[high]])
-    return inside @ lattice, places @ lattice, numbers

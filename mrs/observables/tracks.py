@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mrs import check
+from mrs.fluid import Periodic
 from mrs.output.frames import trajectory_paths
-from mrs.output.stored import StoredFrame
+from mrs.output.stored import StoredFrame, stored_boundary
 from mrs.output.trajectory import Trajectory
 
 _DIRECTIONS = ("orientation", "d3")  # of swimmers, of nodes of rods
@@ -50,8 +51,8 @@ def tracks(directory: str | Path, body: str) -> Tracks:
     with Trajectory(paths[check.one_of("body", body, paths)]) as file:
         if not len(file):
             raise ValueError(f"{file.path} has no frame yet")
-        cell = file.meta.get("boundary cell")
-        lattice = None if cell is None else np.reshape(cell, (3, 3))
+        box = stored_boundary(file.meta)
+        lattice = box.vectors if isinstance(box, Periodic) else None
         frames = [_frame(file, i, lattice) for i in range(len(file))]
         times = file.times
     positions, directions = zip(*frames, strict=True)

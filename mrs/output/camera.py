@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs.fluid import Wall
+from mrs.fluid import Periodic, Wall
+from mrs.fluid.mobility import Boundary
 from mrs.output.trajectory import Trajectory
 
 _VIEW = np.array([0.5, -1.0, 0.45])  # from where one looks at the scene
@@ -35,6 +36,7 @@ class Stage(NamedTuple):
     foot: float  # of the picture, free for the bar
     size: tuple[int, int]
     floor: np.ndarray | None  # corners of the piece of wall under the bodies, (4, 3)
+    cell: np.ndarray  # corners of a periodic box, (8, 3), or none, (0, 3); see `_cell_corners`
 
 
 def stage_of(
@@ -42,7 +44,7 @@ def stage_of(
     frames: list[Places],
     camera: Camera | None,
     size: tuple[int, int],
-    wall: Wall | None = None,
+    boundary: Boundary | None = None,
 ) -> Stage:
     """Return the stage; without a camera given, all frames fit into the picture above the bar.
 
@@ -55,26 +57,29 @@ def stage_of(
         Three numbers each.
     size : (width, height)
         In pixels.
-    wall : Wall, optional
-        Left out if it is far away.
+    boundary : Boundary, optional
+        A wall is left out if it is far away.
     """
     points, reach = _points(bodies, frames), _reach(bodies)
-    points = np.concatenate([points, cell_corners(bodies[0])])
+    corners = _cell_corners(boundary)
+    points = np.concatenate([points, corners])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
-    scene = (points - middle) / extent
-    floor = None if wall is None else _floor(scene, (wall.point - middle) / extent, wall.frame)
+    scene, cell = (points - middle) / extent, (corners - middle) / extent
+    floor = None
+    if isinstance(boundary, Wall):
+        floor = _floor(scene, (boundary.point - middle) / extent, boundary.frame)
     if camera is not None:
         *places, up = np.asarray(camera, np.float64)
         view = [*((place - middle) / extent for place in places), up]
-        return Stage(middle, extent, view, 0.0, size, floor)
+        return Stage(middle, extent, view, 0.0, size, floor, cell)
     towards = _VIEW / np.linalg.norm(_VIEW)
     slope = np.tan(np.radians(ANGLE / 2)) * (1 - _MARGIN)
     slopes = np.array([slope * size[0] / size[1], slope * (1 - _FOOT)])
     seen = scene if floor is None else np.concatenate([scene, floor])
     center, distance = _fit(seen, towards, slopes, reach / extent)
     view = [center + distance * towards, center, (0, 0, 1)]
-    return Stage(middle, extent, view, _FOOT, size, floor)
+    return Stage(middle, extent, view, _FOOT, size, floor, cell)
 
 
 def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarray | None:
@@ -99,15 +104,15 @@ def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarr
     return origin + corners @ frame[:2]
 
 
-def cell_corners(body: Trajectory) -> np.ndarray:
-    """Return the corners of the cell of a periodic run, (8, 3), or none, (0, 3).
+def _cell_corners(boundary: Boundary | None) -> np.ndarray:
+    """Return the corners of the cell of a periodic box, (8, 3), or none, (0, 3).
 
     Bit d of the number of a corner says whether it is away from the first one along vector d.
     """
-    if body.meta.get("boundary kind") != "periodic":
+    if not isinstance(boundary, Periodic):
         return np.empty((0, 3))
     away = np.arange(8)[:, None] >> np.arange(3) & 1
-    return away @ np.reshape(body.meta["boundary cell"], (3, 3))
+    return np.asarray(away @ boundary.vectors)
 
 
 def _points(bodies: list[Trajectory], frames: list[Places]) -> np.ndarray:

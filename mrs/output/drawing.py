@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mrs.output.camera import ANGLE, TIP, Places, Stage, cell_corners
+from mrs.output.camera import ANGLE, TIP, Places, Stage
 from mrs.output.colors import Colors, field_at_points, magnitude
 from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata
@@ -53,7 +53,8 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
             plotter.add_light(light)
         if stage.floor is not None:
             _add_wall(plotter, stage.floor)
-        _add_cell(plotter, bodies[0], stage)
+        if len(stage.cell):
+            _add_cell(plotter, stage.cell)
         for body, i in zip(bodies, places, strict=True):
             if body.topology.cells:
                 _add_body(plotter, body, i, colors, stage)
@@ -76,16 +77,13 @@ def _add_wall(plotter: pv.Plotter, corners: np.ndarray) -> None:
     plotter.add_mesh(wall, color=_WALL, culling="back", lighting=False, render=False)
 
 
-def _add_cell(plotter: pv.Plotter, body: Trajectory, stage: Stage) -> None:
-    """Draw the edges of the cell of a periodic run."""
+def _add_cell(plotter: pv.Plotter, corners: np.ndarray) -> None:
+    """Draw the edges of a periodic box."""
     import pyvista as pv
 
-    corners = (cell_corners(body) - stage.center) / stage.extent
-    if len(corners):
-        numbers = np.arange(8)
-        pairs = [(i, i | step) for i in numbers for step in (1, 2, 4) if not i & step]
-        lines = np.insert(pairs, 0, 2, axis=1)  # the number of points before each
-        plotter.add_mesh(pv.PolyData(corners, lines=lines), color=_INK, line_width=1, render=False)
+    pairs = [(i, i | step) for i in range(8) for step in (1, 2, 4) if not i & step]
+    lines = np.insert(pairs, 0, 2, axis=1)  # the number of points before each
+    plotter.add_mesh(pv.PolyData(corners, lines=lines), color=_INK, line_width=1, render=False)
 
 
 def _add_body(plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, stage: Stage) -> None:

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from mrs.fluid import Wall
 from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.camera import Camera, Places, stage_of
@@ -76,9 +75,7 @@ def render(
     with trajectories(directory) as bodies:
         frames = _frames(bodies, wanted)
         colors = colors_of(bodies, frames, color_by)
-        boundary = stored_boundary(bodies[0].meta)
-        wall = boundary if isinstance(boundary, Wall) else None
-        stage = stage_of(bodies, frames, camera, size, wall)
+        stage = stage_of(bodies, frames, camera, size, stored_boundary(bodies[0].meta))
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
         run_directory.note_made(directory, destination)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import inspect
 import typing
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import is_dataclass
 from typing import Annotated, Any, Literal, Union
@@ -81,7 +81,12 @@ def _data(hint: Any) -> Any:
 
 def _one_of(*functions: Callable) -> Any:
     """Return a field that takes the arguments of one of the functions, named by `kind`."""
-    models = tuple(_call(function, function.__name__) for function in functions)
+    return _named({function.__name__: function for function in functions})
+
+
+def _named(functions: Mapping[str, Callable]) -> Any:
+    """Return a field that takes the arguments of one of the functions, by their names in `kind`."""
+    models = tuple(_call(function, kind) for kind, function in functions.items())
     return Annotated[Union[models], Field(discriminator="kind")]  # noqa: UP007
 
 
@@ -141,9 +146,8 @@ def scene() -> type[Scenario]:
     Its options are `fluid`, a list of tables for each kind of body, and a table for each kind of
     force, for example ``[[options.rods]]`` and ``[options.steric]``.
     """
-    boundaries: Any = tuple(_call(boundary, kind) for kind, boundary in BOUNDARIES.items())
-    boundary: Any = Union[boundaries]  # noqa: UP007
-    fluid: Any = _call(Fluid, background=Background | None, boundary=(boundary | None, None))
+    boundary = _named(BOUNDARIES) | None, None
+    fluid: Any = _call(Fluid, background=Background | None, boundary=boundary)
     fields: dict[str, Any] = {
         "fluid": (fluid, Field(fluid(), description="arguments of mrs.Fluid"))
     }

@@ -50,7 +50,7 @@ class Term(NamedTuple):
         own = sources if self.sources is None else self.sources(sources)
         there = everywhere if self.targets is None else self.targets(everywhere)
         same = targets is None and own is sources and there is everywhere
-        return _columns(own), None if same else _columns(there)
+        return columns(own), None if same else columns(there)
 
     def strengths_of(self, points: np.ndarray, strengths: np.ndarray) -> np.ndarray:
         """Return the strengths of this term, (n, its kernel's strength_size)."""
@@ -61,8 +61,8 @@ class Term(NamedTuple):
         return values if self.values is None else self.values(targets, values)
 
 
-def _columns(points: np.ndarray) -> np.ndarray:
-    """Return a copy by coordinates, (3, N): the sums sort it."""
+def columns(points: np.ndarray) -> np.ndarray:
+    """Return a copy of points, (N, 3), by coordinates, (3, N): the sums sort it."""
     return np.array(points.T, order="C")
 
 

@@ -11,7 +11,7 @@ from treecode import check
 from treecode.boundaries.base import Boundary, Term
 from treecode.kernels import RegularizedStokeslet, RegularizedStokesletRotlet
 from treecode.kernels.base import Kernel
-from treecode.kernels.periodic import PeriodicKernel
+from treecode.kernels.periodic import PeriodicKernel, heights
 
 _FLATTEST = 1e-6  # volume of a cell, as part of the product of its edges
 
@@ -65,7 +65,7 @@ class Periodic(Boundary):
     @property
     def heights(self) -> np.ndarray:
         """Distances between opposite faces of the cell, (3,)."""
-        return np.asarray(1.0 / np.linalg.norm(np.linalg.inv(self.vectors), axis=0))
+        return heights(self.vectors)
 
     def images(self, points: np.ndarray) -> np.ndarray:
         """Return which image of the cell each point is in, (N, 3) int: multiples of the vectors.
@@ -75,6 +75,33 @@ class Periodic(Boundary):
         points : (N, 3) ndarray
         """
         return np.floor(points @ np.linalg.inv(self.vectors)).astype(np.int64)
+
+    def with_images(self, points: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return points in the cell and their images near it, and which point each is.
+
+        All images within `reach` of the cell are there, also of cells with any angles.
+
+        Parameters
+        ----------
+        points : (N, 3) ndarray
+            Anywhere.
+        reach : float
+            At most half of the least of the `heights`.
+
+        Returns
+        -------
+        places : (n, 3) ndarray
+            The first N are the points themselves, in the cell.
+        numbers : (n,) int ndarray
+        """
+        places, numbers = points @ np.linalg.inv(self.vectors), np.arange(len(points))
+        places -= np.floor(places)
+        for axis, near in enumerate(reach / self.heights):
+            step = np.eye(3)[axis]
+            low, high = places[:, axis] <= near, places[:, axis] >= 1.0 - near
+            places = np.concatenate([places, places[low] + step, places[high] - step])
+            numbers = np.concatenate([numbers, numbers[low], numbers[high]])
+        return places @ self.vectors, numbers
 
 
 def _checked_cell(cell: Any) -> tuple[tuple[float, ...], ...]:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from treecode.kernels.base import weights
 
 
@@ -51,3 +53,8 @@ class PeriodicKernel(NamedTuple):
     def weights(self, q: tuple[float, ...]) -> tuple[float, ...]:
         """Return those of the kernel in free space."""
         return weights(self.free, q)
+
+
+def heights(vectors: np.ndarray) -> np.ndarray:
+    """Return the distances between opposite faces of a cell, (3,); its vectors are in rows."""
+    return np.asarray(1.0 / np.linalg.norm(np.linalg.inv(vectors), axis=0))

@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from treecode.kernels.periodic import heights
+
 _SLICES = 4  # small cells for the width of a row: ends of ranges are found to that
 _WIDTHS = range(1, 9)  # rows within the cut-off
 _COPY, _ROW = 1.5, 8.0  # pairs that take as long as to copy a source, or to find those of a row
@@ -44,9 +46,8 @@ class Grid(NamedTuple):
 
 def make_grid(vectors: np.ndarray, cut_off: float, sources: int, targets: int) -> Grid:
     """Return small cells of a cell of volume 1, for a cut-off within which points interact."""
-    heights = 1.0 / np.linalg.norm(np.linalg.inv(vectors), axis=0)
     width = _row_width(cut_off, sources, targets)
-    shape = np.maximum(1, (heights / width).astype(np.int64))
+    shape = np.maximum(1, (heights(vectors) / width).astype(np.int64))
     shape[2] *= _SLICES
     most = max(_FEWEST, 2 * (sources + targets))
     while math.prod(shape.tolist()) > most:
@@ -187,13 +188,13 @@ def crowding(
 
     Points, (3, N) and (3, M), are counted by cells that are as wide.
     """
-    heights = 1.0 / np.linalg.norm(np.linalg.inv(vectors), axis=0)
+    across = heights(vectors)
     given = [sources] if targets is None else [sources, targets]
     some = [points[:, :: -(-points.shape[1] // _COUNTED) or 1] for points in given]
     places = [_places(vectors, points) for points in some]
 
     def ratio(distance: float) -> float:
-        shape = np.clip((heights / distance).astype(np.int64), 1, _MOST_CELLS)
+        shape = np.clip((across / distance).astype(np.int64), 1, _MOST_CELLS)
         cells = math.prod(shape.tolist())
         counts = [np.bincount(_cells_of(shape, x), minlength=cells).astype(float) for x in places]
         itself = float(counts[0].sum()) if targets is None else 0.0
