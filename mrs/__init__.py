@@ -5,13 +5,19 @@ from mrs.bodies import (
     BODIES,
     Body,
     Drive,
+    Moving,
+    Prescribed,
+    Rigid,
     Rods,
+    Surface,
     Swimmers,
     Tracers,
     TravellingWave,
+    Turning,
     geometry,
     lattice_suspension,
     random_suspension,
+    surfaces,
 )
 from mrs.bodies.geometry import Centerline
 from mrs.bodies.layout import Layout
@@ -23,6 +29,7 @@ from mrs.output.frame_files import BodyFile
 from mrs.output.options import Output
 from mrs.output.trackers import Tracker
 from mrs.profile import Profile
+from mrs.resistance_matrix import resistance
 from mrs.run.failures import SimulationError
 from mrs.run.info import info
 from mrs.run.resuming import restart, resume
@@ -58,10 +65,13 @@ __all__ = [
     "Interval",
     "Layout",
     "Moment",
+    "Moving",
     "Never",
     "Output",
     "Periodic",
+    "Prescribed",
     "Profile",
+    "Rigid",
     "Rods",
     "Scenario",
     "ScenarioError",
@@ -71,10 +81,12 @@ __all__ = [
     "State",
     "Steps",
     "Steric",
+    "Surface",
     "Swimmers",
     "Tracers",
     "Tracker",
     "TravellingWave",
+    "Turning",
     "Wall",
     "WallTime",
     "__version__",
@@ -86,7 +98,9 @@ __all__ = [
     "observables",
     "random_suspension",
     "restart",
+    "resistance",
     "resume",
     "rotations",
+    "surfaces",
     "write_field",
 ]

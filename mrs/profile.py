@@ -33,6 +33,7 @@ STAGES = {
     "communication": "values from other ranks; of the fast multipole method what it needs of them",
     "gathering": "values of the fast multipole method, from the other ranks",
     "sums": "the rest of the sums: copies, checks",
+    "resistance": "forces where motion is given: iterations, with the sums in them",
     "forces": "of the bodies, and their motion from the motion of the fluid",
     "background": "flow without the bodies",
     "integrator": "local coordinates, combinations of stages, step sizes",

@@ -10,10 +10,12 @@ import numpy as np
 from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
-from mrs.fluid import Backend, Fluid, Mobility, Periodic
+from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
 from mrs.forces import Force
 from mrs.profile import Profile
+from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
+from treecode import Choice
 from treecode.ranks import joint
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
@@ -60,6 +62,8 @@ class Scene:
     epsilons : (N,) float64 ndarray
         Blob sizes; 1 at points without forces.
     mobility : Mobility
+    resistance : Resistance or None
+        From velocities to forces at the points whose motion is given, if there are any.
     profile : Profile
         Where time is counted.
     ranks : treecode.ranks.OneRank
@@ -98,9 +102,25 @@ class Scene:
             comm,
         )
         self.ranks = self.mobility.ranks
+        self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
-        self._require_inside(layout.points(layout.initial), 0.0)
+        self._require_inside(layout.points(0.0, layout.initial), 0.0)
         self._last: Evaluation | None = None
+
+    def _resistance(self, comm: Any) -> Resistance:
+        """Return what finds the forces at points whose motion is given."""
+        rows = self.layout.given
+        yes, no = np.ones(len(rows), bool), np.zeros(len(rows), bool)
+        epsilons, viscosity = self.epsilons[rows], self.fluid.viscosity
+        numbers, backend = self.layout.numbers[rows], self.backend
+        of_points = yes, no, no, numbers, backend, self.fluid.boundary, comm
+        return Resistance(
+            Mobility(viscosity, epsilons, *of_points),
+            viscosity,
+            epsilons,
+            backend.tolerance,
+            lambda row: self.layout.point_name(int(rows[row])),
+        )
 
     def _set_scales(self) -> None:
         """Set the units of errors, and of perturbations, of the local coordinates."""
@@ -126,6 +146,39 @@ class Scene:
                     last = self._last = self._evaluate(time, state, near)
             return last
 
+    def history(self) -> tuple[Arrays, dict[str, Any]]:
+        """Return all besides time and state on which an evaluation depends.
+
+        Arrays, and values that JSON can hold.
+        """
+        values: dict[str, Any] = {"sums": self.mobility.history()}
+        arrays: Arrays = {}
+        if self.resistance is not None:
+            arrays, values["resistance"] = self.resistance.history()
+        return arrays, values
+
+    def restore(self, arrays: Arrays, values: dict[str, Any]) -> None:
+        """Take up a history."""
+        self.mobility.restore(values["sums"])
+        if self.resistance is not None:
+            self.resistance.restore(arrays, values["resistance"])
+        self.forget()
+
+    @property
+    def choices(self) -> list[Choice]:
+        """How is summed: the choice of each sum that has one."""
+        return [choice for mobility in self.mobilities for choice in mobility.choices]
+
+    @property
+    def evaluations(self) -> int:
+        """Number of fast sums, those in iterations included."""
+        return sum(mobility.evaluations for mobility in self.mobilities)
+
+    @property
+    def mobilities(self) -> list[Mobility]:
+        """All that sums: of all points, and of those whose motion is given."""
+        return [self.mobility, *([self.resistance.mobility] if self.resistance else [])]
+
     def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
         """Return velocities and angular velocities of the coordinates, (P + Q, 3).
 
@@ -138,14 +191,14 @@ class Scene:
         self._last = None
 
     def _evaluate(self, time: float, state: State, near: State | None) -> Evaluation:
-        points = self.layout.points(state)
+        points = self.layout.points(time, state)
         if near is not None:
             rows = self.fluid.boundary.outside(points)
-            points[rows] = self.layout.points(near)[rows]
+            points[rows] = self.layout.points(time, near)[rows]
         self._require_inside(points, time)
         loads = self._loads(time, state, points)
         if check.computable(points, loads):
-            motion = self._motion(time, points, loads)
+            motion = self._motion(time, state, points, loads)
         else:  # the stepper rejects the step, or stops
             motion = np.full_like(loads, np.nan)
         rates = self.layout.rates(time, state, motion)
@@ -164,7 +217,7 @@ class Scene:
     def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
         """Return why a state cannot be: a point outside the fluid; None if it can."""
         try:
-            self._require_inside(self.layout.points(state), time)
+            self._require_inside(self.layout.points(time, state), time)
         except OutsideError as error:
             return error
         return None
@@ -188,9 +241,29 @@ class Scene:
 
         return check.vectors(f"force {force.kind!r}", values, len(self.layout.forced), where)
 
-    def _motion(self, time: float, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
-        """Return the motion that the loads cause, and that of the background."""
-        motion = self._sum(points, loads)
+    def _motion(
+        self, time: float, state: State, points: np.ndarray, loads: np.ndarray
+    ) -> np.ndarray:
+        """Return the motion of all points; fill in the forces where motion is given."""
+        if self.resistance is None:
+            return self._flow(time, points, loads)
+        rows, given = self.layout.given, self.layout.given_motion(time, state)
+        arms, frame = given.arms, given.frame
+        pushes = net_loads(loads[rows, :3], arms, frame, len(given.free))
+        given = given._replace(load=given.load + pushes)
+        loads[rows] = 0.0
+        flow = self._flow(time, points, loads, loads.any())[rows, :3]
+        with self.profile.stage("resistance"):
+            loads[rows, :3], moved = self.resistance.solve(time, points[rows], given, flow)
+        motion = self._flow(time, points, loads, len(rows) < len(points))
+        motion[rows, :3] = given.velocity + carried(moved, arms, frame)
+        return motion
+
+    def _flow(
+        self, time: float, points: np.ndarray, loads: np.ndarray, summed: bool = True
+    ) -> np.ndarray:
+        """Return the motion that the loads cause, if it is summed, and that of the background."""
+        motion = self._sum(points, loads) if summed else np.zeros_like(loads)
         if self.fluid.background is not None:
             name = self.layout.point_name
             with self.profile.stage("background"):
@@ -214,7 +287,12 @@ class Scene:
         """Let the sums meet their tolerance again."""
         now = self.evaluate(time, state)
         with self.profile.stage("error samples"):
-            if self.mobility.correct(now.points, now.loads):
+            changed = self.mobility.correct(now.points, now.loads)
+            if self.resistance is not None:
+                rows = self.layout.given
+                forces = now.loads[rows, :3]
+                changed |= self.resistance.mobility.correct(now.points[rows], forces)
+            if changed:
                 self.forget()
 
     def energy(self, time: float, state: State) -> float:

@@ -1,23 +1,32 @@
 """Bodies: points in the fluid that put loads on it, and move with it."""
 
 from mrs.bodies.base import Body
-from mrs.bodies.rods import Drive, Rods, TravellingWave
+from mrs.bodies.drive import Drive
+from mrs.bodies.rigid import Prescribed, Rigid
+from mrs.bodies.rods import Rods, TravellingWave
+from mrs.bodies.shapes import Moving, Turning
+from mrs.bodies.surfaces import Surface
 from mrs.bodies.swimmers import Swimmers, lattice_suspension, random_suspension
 from mrs.bodies.tracers import Tracers
 from mrs.registry import Registry
 
 BODIES: Registry[type[Body]] = Registry("body", "kind")
-for _kind in (Rods, Swimmers, Tracers):
+for _kind in (Rods, Rigid, Prescribed, Swimmers, Tracers):
     BODIES.register(_kind)
 
 __all__ = [
     "BODIES",
     "Body",
     "Drive",
+    "Moving",
+    "Prescribed",
+    "Rigid",
     "Rods",
+    "Surface",
     "Swimmers",
     "Tracers",
     "TravellingWave",
+    "Turning",
     "lattice_suspension",
     "random_suspension",
 ]

@@ -1,4 +1,4 @@
-"""The contract of a body: rods, swimmers and tracers are bodies."""
+"""The contract of a body: rods, swimmers, rigid bodies and tracers are bodies."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mrs.describe import described, own_code
+from mrs.rigid_motion import GivenMotion
 from mrs.time.state import Arrays, State
 
 
@@ -19,6 +20,9 @@ class Body:
     `quaternions`, (m, 4), m = n or 0, which turn with an angular velocity. It puts forces, and
     torques if `has_torque`, on the fluid at its *points*, and is given the velocity there, and the
     angular velocity if `has_spin`.
+
+    A body with `has_given_motion` says how its points move, in the place of the forces there: those
+    are found so that the fluid moves with the points.
 
     Attributes
     ----------
@@ -38,6 +42,7 @@ class Body:
     has_force = True
     has_torque = False
     has_spin = False
+    has_given_motion = False
     made_with: Mapping[str, Any] = MappingProxyType({})
 
     def parameters(self) -> dict[str, Any]:
@@ -58,9 +63,13 @@ class Body:
         """Return the blob size at each point, (p,); `default` is the fluid's."""
         raise NotImplementedError
 
-    def points(self, state: State) -> np.ndarray:
+    def points(self, time: float, state: State) -> np.ndarray:
         """Return where forces act and velocities are wanted, (p, 3)."""
         return state.positions
+
+    def given_motion(self, time: float, state: State) -> GivenMotion:
+        """Return how the points move, of a body with `has_given_motion`."""
+        raise NotImplementedError
 
     def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the forces and torques on the fluid at the points, (p, 3) each."""
@@ -99,7 +108,8 @@ class Body:
 
         By default all points are vertices.
         """
-        return np.arange(len(self.points(State(self.positions, self.quaternions)))), []
+        state = State(self.positions, self.quaternions)
+        return np.arange(len(self.points(0.0, state))), []
 
     def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return arrays at points and at cells that do not change; `epsilons` is (p,)."""

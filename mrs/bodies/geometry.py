@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import scipy
@@ -28,11 +28,7 @@ class Centerline(NamedTuple):
         rotation: scipy.spatial.transform.Rotation | None = None,
     ) -> Centerline:
         """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
-        turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
-        if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
-            raise TypeError(
-                f"rotation must be one scipy.spatial.transform.Rotation, got {rotation!r}"
-            )
+        turn = one_rotation(rotation)
         quaternions = rotations.multiply(turn.as_quat(), self.quaternions)
         return Centerline(
             turn.apply(self.nodes) + check.vector("shift", shift), quaternions, self.closed
@@ -188,6 +184,14 @@ def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
     return scipy.spatial.transform.Rotation.from_matrix(
         np.stack([d1, rotations.cross(d3, d1), d3], axis=-1)
     ).as_quat()
+
+
+def one_rotation(rotation: Any) -> scipy.spatial.transform.Rotation:
+    """Return a rotation of scipy's, none if it is None."""
+    turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
+    if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
+        raise TypeError(f"rotation must be one scipy.spatial.transform.Rotation, got {rotation!r}")
+    return turn
 
 
 def _turn_from_z(direction: ArrayLike) -> scipy.spatial.transform.Rotation:

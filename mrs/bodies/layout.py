@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mrs.bodies.base import Body
+from mrs.rigid_motion import GivenMotion, joined
 from mrs.time.state import State
 
 
@@ -47,6 +48,8 @@ class Layout:
         angular velocity.
     numbers : (N,) int ndarray
         Of the body of each point.
+    given : int ndarray
+        Points of bodies whose motion is given.
     forced : int ndarray
         Points whose body puts forces on the fluid.
 
@@ -70,7 +73,9 @@ class Layout:
         )
         if not len(self.initial.positions):
             raise ValueError("bodies must have at least one point")
-        sizes = [len(body.points(State(body.positions, body.quaternions))) for body in bodies]
+        sizes = [
+            len(body.points(0.0, State(body.positions, body.quaternions))) for body in bodies
+        ]
         places = zip(
             bodies,
             _slices(len(body.positions) for body in bodies),
@@ -89,6 +94,7 @@ class Layout:
         self.has_torque = at_points(body.has_torque for body in bodies)
         self.has_spin = at_points(body.has_spin for body in bodies)
         self.numbers = at_points(range(len(bodies)))
+        self.given = np.flatnonzero(at_points(body.has_given_motion for body in bodies))
         self.forced = np.flatnonzero(self.has_force)
         self.width = 6 if self.has_torque.any() or self.has_spin.any() else 3
 
@@ -121,15 +127,28 @@ class Layout:
             raise ValueError(f"epsilon must be set, by the fluid or by {body.name!r}")
         return epsilons
 
-    def points(self, state: State) -> np.ndarray:
+    def points(self, time: float, state: State) -> np.ndarray:
         """Return where forces act and velocities are wanted, (N, 3)."""
-        return np.concatenate([part.body.points(part.state(state)) for part in self.parts])
+        return np.concatenate([part.body.points(time, part.state(state)) for part in self.parts])
+
+    def given_motion(self, time: float, state: State) -> GivenMotion:
+        """Return the motion of the points `given`; the frames of all bodies are numbered through."""
+        return joined(
+            [
+                part.body.given_motion(time, part.state(state))
+                for part in self.parts
+                if part.body.has_given_motion
+            ]
+        )
 
     def loads(self, time: float, state: State) -> np.ndarray:
-        """Return the forces, and torques, of the bodies on the fluid, (N, width)."""
+        """Return the forces, and torques, of the bodies on the fluid, (N, width).
+
+        They are zero at the points `given`.
+        """
         loads = np.zeros((self.count, self.width))
         for part in self.parts:
-            if part.body.has_force:
+            if part.body.has_force and not part.body.has_given_motion:
                 force, torque = part.body.loads(time, part.state(state))
                 own = loads[part.points]
                 _require_shape(part.body, "forces of loads", force, (len(own), 3))

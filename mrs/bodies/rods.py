@@ -11,41 +11,11 @@ from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 from mrs.bodies.base import Body
+from mrs.bodies.drive import Drive
 from mrs.bodies.geometry import Centerline
 from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
-
-
-@check.spelling
-@dataclass(frozen=True)
-class Drive:
-    """How the first node of each rod is moved: by constants, or by functions of time.
-
-    Constants are (3,), or (rods, 3). A function takes the rods' own times, (rods,), and returns
-    one of these.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
-
-    velocity: Any = (0.0, 0.0, 0.0)
-    angular_velocity: Any = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        for name, motion in vars(self).items():
-            if not callable(motion):
-                array = check.real(name, motion)
-                if array.ndim not in (1, 2) or array.shape[-1] != 3:
-                    raise ValueError(
-                        f"{name} must be a function of time, or have shape (3,) or (rods, 3), "
-                        f"got shape {array.shape}"
-                    )
-                check.shaped(name, array, array.shape)  # finite
-
-    @property
-    def depends_on_time(self) -> bool:
-        """Whether one of the two is a function."""
-        return callable(self.velocity) or callable(self.angular_velocity)
 
 
 @check.spelling
@@ -349,14 +319,8 @@ class Rods(Body):
         return velocity, spin
 
     def _at_bases(self, what: str, time: float) -> np.ndarray:
-        motion = getattr(self.base, what)
-        t = time - self._delay
-        value = motion(t) if callable(motion) else motion
-
-        def where(row: int) -> str:
-            return f"for rod {row} of {self.name!r} at its own time {t[row]:g}"
-
-        return check.vectors(f"base: {what}", value, len(self.first), where)
+        assert isinstance(self.base, Drive)
+        return self.base.at(what, time - self._delay, "base", f"rod {{}} of {self.name!r}")
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each node, (nodes,)."""

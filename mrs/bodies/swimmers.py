@@ -96,7 +96,7 @@ class Swimmers(Body):
         """Return the directions p, (n, 3)."""
         return rotations.rotate(quaternions, _AXIS)
 
-    def points(self, state: State) -> np.ndarray:
+    def points(self, time: float, state: State) -> np.ndarray:
         """Return bodies, then flagella, (2 n, 3)."""
         arm = self.sign * self.length * self.orientations(state.quaternions)
         return np.concatenate([state.positions, state.positions - arm])

@@ -120,10 +120,12 @@ class _Sum:
         self.plan = tc.Plan(kernel, **options, boundary=boundary, comm=self._comm)
         if choice is not None:
             self.plan.use(choice)
+        self._placed: np.ndarray | None = None
 
     def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         strengths = self.sources.strengths(loads)
-        self._place(points)
+        if points is not self._placed:  # an iteration sums many loads at the same points
+            self._place(points)
         try:
             return self.plan.execute(strengths)
         except tc.CancellationError:
@@ -143,6 +145,7 @@ class _Sum:
         """Set the sources and the targets among all points."""
         targets = None if self._same else points[self.targets]
         self.plan.set_points(points[self.sources.rows], targets, self._groups)
+        self._placed = points
 
     def _sum_directly(self, points: np.ndarray) -> None:
         """Nothing is more accurate. Bodies at rest have loads that are nothing but rounding."""

@@ -185,13 +185,14 @@ COLUMNS: dict[str, Callable[[Simulation], Any]] = {
     "dt": lambda sim: sim.stepper.taken,
     "wall": lambda sim: round(sim.moment.seconds, 3),
     "rejections": lambda sim: sim.stepper.rejections,
-    "evaluations": lambda sim: sim.mobility.evaluations,
+    "evaluations": lambda sim: sim.scene.evaluations,
     "max_speed": _max_speed,
     "elastic_energy": lambda sim: sim.energy(),
     "sampled_error": _sampled_error,
     "dt_lambda_max": lambda sim: sim.stepper.h_lambda,
-    "backends": lambda sim: " ".join(map(str, sim.mobility.choices)),
+    "backends": lambda sim: " ".join(map(str, sim.scene.choices)),
 }
+_OF_GIVEN = {"iterations": lambda sim: sim.scene.resistance.memory.iterations}
 _EVERY = {"sampled_error": 10}  # rows that have a value in a column; others have one in each row
 
 
@@ -205,13 +206,19 @@ class LogFile(FrameFile):
         Between the rows.
     columns : dict of functions
         The user's own, besides `COLUMNS`. A function with `labels` fills a column for each.
+    given : bool, optional
+        Whether the motion of some points is given: then there is a column "iterations".
     """
 
     def __init__(
-        self, path: Path, when: Interval, columns: Mapping[str, Callable[[Simulation], Any]]
+        self,
+        path: Path,
+        when: Interval,
+        columns: Mapping[str, Callable[[Simulation], Any]],
+        given: bool = False,
     ) -> None:
         super().__init__(path)
-        self.when, self.columns = when, {**COLUMNS, **columns}
+        self.when, self.columns = when, {**COLUMNS, **(_OF_GIVEN if given else {}), **columns}
         self._headings = [head for item in self.columns.items() for head in _headings(*item)]
         twice = {head for head in self._headings if self._headings.count(head) > 1}
         if twice:

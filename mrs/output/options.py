@@ -91,7 +91,7 @@ class Output:
                 raise ValueError(f"columns[{name!r}]: {error}") from None
         directory, when = Path(self.directory), Interval(float(self.interval))
         files = [FORMATS[name](directory, body) for name in self.formats for body in sim.bodies]
-        log = LogFile(directory / "log.csv", when, self.columns)
+        log = LogFile(directory / "log.csv", when, self.columns, sim.scene.resistance is not None)
         return [
             Checkpoints(directory / run_directory.CHECKPOINT, self.checkpoint_seconds),
             paraview.Macro(directory),

@@ -207,10 +207,10 @@ def _print_options(scene: Scenario) -> None:
 
 def _report(sim: Simulation, scene: Scenario, directory: Path) -> bool:
     """Print the state of a run; return False if it is at its end with a wrong number."""
-    names = ", ".join(sorted(set(map(str, sim.mobility.choices)))) or "no sums"
+    names = ", ".join(sorted(set(map(str, sim.scene.choices)))) or "no sums"
     print(
         f"{directory}: t = {sim.time:g}, {sim.stepper.steps} steps, "
-        f"{sim.stepper.rejections} rejected, {sim.mobility.evaluations} evaluations by {names}"
+        f"{sim.stepper.rejections} rejected, {sim.scene.evaluations} evaluations by {names}"
     )
     if sim.time < sim.t_end:
         return True

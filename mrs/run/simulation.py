@@ -33,6 +33,7 @@ from treecode.ranks import OneRank
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
+_SCENE = "scene/"  # before the names of the scene's arrays
 _NUMERICS = ("backend", "integrator", "output")  # of a description; the rest is physics
 _WRITING = ("interval", "checkpoint_seconds", "formats", "columns")
 # Of the options of a scenario.
@@ -182,10 +183,12 @@ class Simulation:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
         arrays, history = self.stepper.history()
         arrays = {_INTEGRATOR + name: array for name, array in arrays.items()}
+        of_scene, evaluation = self.scene.history()
+        arrays |= {_SCENE + name: array for name, array in of_scene.items()}
         values = {
             "time": self.time,
             "integrator": history,
-            "backends": self.mobility.history(),
+            "evaluation": evaluation,
             "written": dict(self.written),
             "scene": self.description,
         }
@@ -263,7 +266,7 @@ class Simulation:
         else:
             self.stepper.restore_counts(values["integrator"])
         if changed <= {"integrator"}:
-            self.mobility.restore(values["backends"])
+            self.scene.restore(below(arrays, _SCENE), values["evaluation"])
 
     def step(self, stop: float) -> None:
         """Take one accepted step, not beyond time `stop`.
@@ -280,7 +283,7 @@ class Simulation:
             self._advance(system, stop)
 
     def _advance(self, system: System, stop: float) -> None:
-        before, methods = self.stepper.history(), self.mobility.history()
+        before, of_scene = self.stepper.history(), self.scene.history()
         try:
             steps = self.stepper.steps
             if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
@@ -292,9 +295,8 @@ class Simulation:
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = explained(self, error)
             self.stepper.restore(*before)
-            if self.mobility.history() != methods:
-                self.mobility.restore(methods)
-                self.scene.forget()
+            if self.scene.history()[1] != of_scene[1]:
+                self.scene.restore(*of_scene)
             raise told from None
         self.time, self.state = time, state
 

@@ -64,7 +64,7 @@ def _met(stroke, count, aside, forces):
 
 def _apart(sim):
     """Return the least distance of particles of different swimmers."""
-    points = sim.bodies[0].points(sim.state)
+    points = sim.bodies[0].points(sim.time, sim.state)
     number = np.tile(np.arange(len(points) // 2), 2)
     distances = np.linalg.norm(points[:, None] - points, axis=-1)
     return distances[number[:, None] != number].min()

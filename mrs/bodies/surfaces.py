@@ -1,0 +1,264 @@
+"""Points on surfaces and along lines, at which rigid bodies are in touch with the fluid."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import meshio
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from mrs import check
+from mrs.bodies import geometry
+
+# The errors of drag and torque of a sphere have this blob size as their best, in spacings.
+_SPACING = 0.4
+_DENSE = 0.3  # nodes along a thin body, in blob sizes apart
+_GOLDEN = np.pi * (3.0 - np.sqrt(5.0))
+_FINE = 4001  # heights at which the area of a surface is tabulated
+
+
+class Surface(NamedTuple):
+    """Points of a body, and the blob size that suits their spacing.
+
+    Attributes
+    ----------
+    points : (p, 3) ndarray
+    epsilon : float or (p,) ndarray
+    lines : tuple of int ndarray
+        Points that are joined in pictures, along each line; the others are drawn as spheres.
+    """
+
+    points: np.ndarray
+    epsilon: float | np.ndarray
+    lines: tuple[np.ndarray, ...] = ()
+
+    def moved(
+        self,
+        shift: ArrayLike = (0.0, 0.0, 0.0),
+        rotation: scipy.spatial.transform.Rotation | None = None,
+    ) -> Surface:
+        """Return a copy, turned about the origin by `rotation` (scipy's), then shifted."""
+        turn = geometry.one_rotation(rotation)
+        return self._replace(points=turn.apply(self.points) + check.vector("shift", shift))
+
+
+@check.spelling
+def sphere(radius: float, count: int) -> Surface:
+    """Return points on a sphere about the origin, on a spiral of equal areas (Fibonacci's).
+
+    Parameters
+    ----------
+    radius : float
+    count : int
+        Of points. The resistance is too large by 0.7 % with 200, by 0.3 % with 800.
+    """
+    return ellipsoid((radius, radius, radius), count)
+
+
+@check.spelling
+def ellipsoid(semi_axes: ArrayLike, count: int) -> Surface:
+    """Return points on an ellipsoid about the origin.
+
+    Parameters
+    ----------
+    semi_axes : (3,) array_like
+        Along x, y and z. Areas are equal about each point if those along x and y are equal.
+    count : int
+        Of points.
+    """
+    a, b, c = check.within("semi_axes", check.vector("semi_axes", semi_axes), 0.0).tolist()
+    mean = np.sqrt(a * b)
+
+    def profile(height: np.ndarray) -> np.ndarray:
+        return mean * np.sqrt(np.maximum(1.0 - (height / c) ** 2, 0.0))
+
+    round_one = revolution(profile, (-c, c), count)
+    return round_one._replace(points=round_one.points * [a / mean, b / mean, 1.0])
+
+
+@check.spelling
+def capsule(radius: float, length: float, count: int) -> Surface:
+    """Return points on a cylinder along z with round ends, about the origin.
+
+    Parameters
+    ----------
+    radius : float
+    length : float
+        From tip to tip, at least twice the radius.
+    count : int
+        Of points.
+    """
+    check.positive("radius", radius)
+    check.number("length", length, 2.0 * radius, 1e60, low_inclusive=True)
+
+    def profile(height: np.ndarray) -> np.ndarray:
+        beyond = np.maximum(np.abs(height) - (0.5 * length - radius), 0.0)
+        return np.sqrt(np.maximum(radius**2 - beyond**2, 0.0))
+
+    return revolution(profile, (-0.5 * length, 0.5 * length), count)
+
+
+@check.spelling
+def revolution(
+    profile: Callable[[np.ndarray], np.ndarray], heights: tuple[float, float], count: int
+) -> Surface:
+    """Return points on a surface of revolution about z, each with the same area about it.
+
+    Parameters
+    ----------
+    profile : callable
+        Of heights z, (n,): returns the radii there, (n,).
+    heights : (float, float)
+        Where the surface begins and ends.
+    count : int
+        Of points.
+    """
+    check.integer("count", count, 1)
+    low, high = check.vector("heights", (*heights, 0.0))[:2]
+    if not low < high:
+        raise ValueError(f"heights must be two numbers, the smaller one first, got {heights!r}")
+    # Many heights at both ends, where a round surface is steep.
+    z = 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.linspace(0.0, np.pi, _FINE))
+    radius = np.asarray(check.function("profile", profile, "heights")(z), float)
+    if check.shaped("profile", radius, z.shape).min() < 0.0:
+        raise ValueError(f"profile must give radii of at least 0, got {radius.min():g}")
+    strips = np.pi * (radius[1:] + radius[:-1]) * np.hypot(np.diff(z), np.diff(radius))
+    area = np.concatenate([[0.0], np.cumsum(strips)])
+    place = np.interp((np.arange(count) + 0.5) / count * area[-1], area, np.arange(_FINE))
+    height, width = (np.interp(place, np.arange(_FINE), of) for of in (z, radius))
+    angle = _GOLDEN * np.arange(count)
+    points = np.column_stack([width * np.cos(angle), width * np.sin(angle), height])
+    return Surface(points, _SPACING * float(np.sqrt(area[-1] / count)))
+
+
+@check.spelling
+def disc(radius: float, count: int) -> Surface:
+    """Return points on a flat disc in the x-y plane about the origin, with equal areas.
+
+    Parameters
+    ----------
+    radius : float
+    count : int
+        Of points.
+    """
+    check.positive("radius", radius)
+    check.integer("count", count, 1)
+    distance = radius * np.sqrt((np.arange(count) + 0.5) / count)
+    angle = _GOLDEN * np.arange(count)
+    points = np.column_stack([distance * np.cos(angle), distance * np.sin(angle), 0.0 * angle])
+    return Surface(points, _SPACING * radius * float(np.sqrt(np.pi / count)))
+
+
+@check.spelling
+def along(
+    centerline: geometry.Centerline, thickness: float, *, spacing: float = _DENSE
+) -> Surface:
+    """Return points along a thin body, with the blob size that gives it its drag.
+
+    Parameters
+    ----------
+    centerline : Centerline
+        Of `mrs.geometry`; its nodes are replaced by others, equally spaced along straight pieces.
+    thickness : float
+        Radius of the body.
+    spacing : float, optional
+        Between points, in blob sizes.
+    """
+    epsilon = np.sqrt(np.e) * check.positive("thickness", thickness)
+    check.positive("spacing", spacing)
+    nodes = check.points("centerline.nodes", centerline.nodes)
+    if centerline.closed:
+        nodes = np.concatenate([nodes, nodes[:1]])
+    arclength = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
+    count = max(1, round(arclength[-1] / (spacing * epsilon)))
+    middles = (np.arange(count) + 0.5) / count * arclength[-1]
+    curve = scipy.interpolate.make_interp_spline(
+        arclength,
+        nodes,
+        k=min(3, len(nodes) - 1),
+        bc_type="periodic" if centerline.closed else None,
+    )
+    line = np.arange(count)
+    if centerline.closed:
+        line = np.append(line, 0)
+    return Surface(curve(middles), float(epsilon), (line,))
+
+
+@check.spelling
+def helix(
+    radius: float,
+    pitch: float,
+    length: float,
+    thickness: float,
+    *,
+    spacing: float = _DENSE,
+    handedness: Literal["right", "left"] = "right",
+) -> Surface:
+    """Return points along a helical filament about z, which begins at z = 0.
+
+    Parameters
+    ----------
+    radius, pitch, length : float
+        Of the helix; `length` is along its axis.
+    thickness : float
+        Radius of the filament. The blob size is sqrt(e) times that, which gives its drag.
+    spacing : float, optional
+        Between points, in blob sizes.
+    handedness : {"right", "left"}, optional
+    """
+    nodes = max(16, int(np.ceil(64.0 * length / check.positive("pitch", pitch))))
+    line = geometry.helix(radius, pitch, length, nodes, handedness=handedness)
+    return along(line, thickness, spacing=spacing)
+
+
+def joined(*surfaces: Surface) -> Surface:
+    """Return several surfaces as one; each point keeps its blob size.
+
+    Raises
+    ------
+    ValueError
+        If there is none.
+    """
+    if not surfaces:
+        raise ValueError("surfaces must be at least one")
+    counts = [len(surface.points) for surface in surfaces]
+    before = np.cumsum([0, *counts])
+    lines = tuple(
+        line + first
+        for surface, first in zip(surfaces, before[:-1], strict=True)
+        for line in surface.lines
+    )
+    epsilons = [np.full(len(surface.points), surface.epsilon) for surface in surfaces]
+    points = np.concatenate([surface.points for surface in surfaces])
+    return Surface(points, np.concatenate(epsilons), lines)
+
+
+def read(path: str | os.PathLike[str]) -> Surface:
+    """Return the vertices of the triangles in a file, for example .stl, .obj, .msh, .vtu, .ply.
+
+    Parameters
+    ----------
+    path : path
+        Read by meshio. The blob size is 0.4 times the root of the area of a vertex.
+
+    Raises
+    ------
+    ValueError
+        If there are no triangles.
+    """
+    mesh = meshio.read(Path(path))
+    triangles = [block.data for block in mesh.cells if block.type == "triangle"]
+    if not triangles:
+        kinds = sorted({block.type for block in mesh.cells})
+        raise ValueError(f"{path} must have triangles, it has {', '.join(kinds) or 'no cells'}")
+    points, number = np.unique(np.asarray(mesh.points, float), axis=0, return_inverse=True)
+    corners = points[number.ravel()[np.concatenate(triangles)]]
+    sides = corners[:, 1:] - corners[:, :1]
+    area = 0.5 * np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum()
+    used = np.unique(number.ravel()[np.concatenate(triangles)])
+    return Surface(points[used], _SPACING * float(np.sqrt(area / len(used))))
