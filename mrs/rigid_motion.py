@@ -49,6 +49,30 @@ class GivenMotion(NamedTuple):
         return rotations.rotate(self.quaternion[self.frame], self.local)
 
 
+class Mounted(NamedTuple):
+    """Points of a body that are fixed to frames of another one.
+
+    Attributes
+    ----------
+    rows : (m,) int ndarray
+        The points.
+    body : str
+        Name of the other body.
+    number : (m,) int ndarray
+        Of the frame.
+    loads : (m, 6) ndarray
+        Forces and torques that the points hand to their frames.
+    turning : (m, 3) ndarray
+        Angular velocity relative to the frame, in its axes.
+    """
+
+    rows: np.ndarray
+    body: str
+    number: np.ndarray
+    loads: np.ndarray
+    turning: np.ndarray
+
+
 def joined(parts: list[GivenMotion]) -> GivenMotion:
     """Return the motions of several bodies as one; their frames are numbered through."""
     before = np.cumsum([0, *(len(part.centre) for part in parts)])

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs import check
+from mrs import check, rotations
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
@@ -104,6 +104,7 @@ class Scene:
         self.ranks = self.mobility.ranks
         self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
+        layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
         self._require_inside(layout.points(0.0, layout.initial), 0.0)
         self._last: Evaluation | None = None
 
@@ -249,14 +250,24 @@ class Scene:
             return self._flow(time, points, loads)
         rows, given = self.layout.given, self.layout.given_motion(time, state)
         arms, frame = given.arms, given.frame
-        pushes = net_loads(loads[rows, :3], arms, frame, len(given.free))
-        given = given._replace(load=given.load + pushes)
+        load = given.load + net_loads(loads[rows, :3], arms, frame, len(given.free))
         loads[rows] = 0.0
+        mounted = self.layout.mounted(time, state)
+        for fixed in mounted:
+            arm = points[fixed.rows] - given.centre[fixed.number]
+            np.add.at(load, fixed.number, _about(arm, fixed.loads))
+        given = given._replace(load=load)
         flow = self._flow(time, points, loads, loads.any())[rows, :3]
         with self.profile.stage("resistance"):
             loads[rows, :3], moved = self.resistance.solve(time, points[rows], given, flow)
         motion = self._flow(time, points, loads, len(rows) < len(points))
         motion[rows, :3] = given.velocity + carried(moved, arms, frame)
+        for fixed in mounted:
+            number = fixed.number
+            arm = points[fixed.rows] - given.centre[number]
+            motion[fixed.rows, :3] = carried(moved, arm, number)
+            turning = rotations.rotate(given.quaternion[number], fixed.turning)
+            motion[fixed.rows, 3:] = moved[number, 3:] + turning
         return motion
 
     def _flow(
@@ -364,3 +375,10 @@ class Scene:
         _, line, size = np.unique(line, return_inverse=True, return_counts=True)
         middle = np.stack([np.bincount(line, column) for column in points.T], axis=1)
         return box.images(middle / size[:, None])[line]
+
+
+def _about(arm: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    """Return forces and torques, (m, 6), about centres that are `arm`, (m, 3), away."""
+    moved = loads.copy()
+    moved[:, 3:] += rotations.cross(arm, loads[:, :3])
+    return moved

@@ -1,7 +1,7 @@
 """Bodies: points in the fluid that put loads on it, and move with it."""
 
 from mrs.bodies.base import Body
-from mrs.bodies.drive import Drive
+from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.rigid import Prescribed, Rigid
 from mrs.bodies.rods import Rods, TravellingWave
 from mrs.bodies.shapes import Moving, Turning
@@ -18,6 +18,7 @@ __all__ = [
     "BODIES",
     "Body",
     "Drive",
+    "Mount",
     "Moving",
     "Prescribed",
     "Rigid",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mrs.describe import described, own_code
-from mrs.rigid_motion import GivenMotion
+from mrs.rigid_motion import GivenMotion, Mounted
 from mrs.time.state import Arrays, State
 
 
@@ -70,6 +70,10 @@ class Body:
     def given_motion(self, time: float, state: State) -> GivenMotion:
         """Return how the points move, of a body with `has_given_motion`."""
         raise NotImplementedError
+
+    def mounted(self, time: float, state: State) -> Mounted | None:
+        """Return which points are fixed to another body; none by default."""
+        return None
 
     def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the forces and torques on the fluid at the points, (p, 3) each."""

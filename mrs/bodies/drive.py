@@ -1,4 +1,4 @@
-"""Motion that is given: of the first nodes of rods, and of rigid bodies."""
+"""What moves the first nodes of rods, and rigid bodies: a given motion, or another body."""
 
 from __future__ import annotations
 
@@ -58,3 +58,40 @@ class Drive:
             return f"for {name.format(row)} at its own time {times[row]:g}"
 
         return check.vectors(f"{argument}: {what}", value, len(times), where)
+
+
+@check.spelling
+@dataclass(frozen=True)
+class Mount:
+    """Where rods are fixed to rigid bodies, which get their loads.
+
+    The first node of each rod and its triad move with the axes of a body, and may turn against
+    them, as a motor makes a flagellum turn: the body gets the opposite torque.
+
+    Parameters
+    ----------
+    body : str
+        Name of the `Rigid` or `Prescribed` body.
+    number : int or array_like of int, optional
+        Which of its bodies each rod is fixed to, a number or (rods,); the first one by default.
+    turning : (3,) array_like or callable, optional
+        Angular velocity relative to the body, in the axes of the body; or a function, as for
+        `Drive`.
+    """
+
+    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
+
+    body: str
+    number: Any = 0
+    turning: Any = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        check.file_name("body", self.body)
+        Drive(angular_velocity=self.turning)
+
+    def numbers(self, count: int) -> np.ndarray:
+        """Return the number of the body of each rod, (count,)."""
+        numbers = check.broadcast("number", self.number, (count,))
+        if (numbers < 0).any() or (numbers != np.floor(numbers)).any():
+            raise ValueError(f"number must be integers of at least 0, got {self.number!r}")
+        return numbers.astype(int)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mrs.bodies.base import Body
-from mrs.rigid_motion import GivenMotion, joined
+from mrs.rigid_motion import GivenMotion, Mounted, joined
 from mrs.time.state import State
 
 
@@ -139,6 +139,36 @@ class Layout:
                 for part in self.parts
                 if part.body.has_given_motion
             ]
+        )
+
+    def mounted(self, time: float, state: State) -> list[Mounted]:
+        """Return the points that are fixed to other bodies; rows and frames are those of all."""
+        found = []
+        for part in self.parts:
+            own = part.body.mounted(time, part.state(state))
+            if own is not None:
+                first, count = self._frames(part.body, own.body)
+                if own.number.max(initial=0) >= count:
+                    raise ValueError(
+                        f"base of {part.body.name!r}: number must be less than {count}, the bodies "
+                        f"of {own.body!r}, got {own.number.max()}"
+                    )
+                rows, number = own.rows + part.points.start, own.number + first
+                found.append(own._replace(rows=rows, number=number))
+        return found
+
+    def _frames(self, of: Body, name: str) -> tuple[int, int]:
+        """Return the number of the first frame of the body of a name, and how many there are."""
+        before = 0
+        for body in self.bodies:
+            if body.has_given_motion:
+                count = len(body.given_motion(0.0, State(body.positions, body.quaternions)).free)
+                if body.name == name:
+                    return before, count
+                before += count
+        raise ValueError(
+            f"base of {of.name!r} must be fixed to a Rigid or Prescribed body of the scene, got "
+            f"{name!r}"
         )
 
     def loads(self, time: float, state: State) -> np.ndarray:

@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 
 from mrs import check, rotations
 from mrs.bodies.base import Body
-from mrs.bodies.drive import Drive
+from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.geometry import Centerline
+from mrs.rigid_motion import Mounted
 from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
@@ -87,9 +88,9 @@ class Rods(Body):
     delay : float or array_like, optional
         Lag of each rod's own time behind the time of the run, a number or (rods,): phases of
         metachronal waves. Refused where nothing depends on the rods' own time.
-    base : {"free", "clamped"} or Drive, optional
+    base : {"free", "clamped"}, Drive or Mount, optional
         Motion of the first node and its triad. A base that is held or driven hands its load to its
-        holder, not to the fluid.
+        holder, not to the fluid; with a `Mount` the holder is another body.
     epsilon : float, optional
         Blob size; the fluid's by default.
     radius : float or array_like, optional
@@ -127,7 +128,7 @@ class Rods(Body):
         intrinsic_curvature: ArrayLike | Strain = "initial",
         beat: Strain | None = None,
         delay: ArrayLike = 0.0,
-        base: Literal["free", "clamped"] | Drive = "free",
+        base: Literal["free", "clamped"] | Drive | Mount = "free",
         epsilon: float | None = None,
         radius: ArrayLike | None = None,
         name: str = "rods",
@@ -143,7 +144,9 @@ class Rods(Body):
         self.positions = np.concatenate(nodes)
         self.quaternions = rotations.normalize(np.concatenate(triads))
         self.base = (
-            base if isinstance(base, Drive) else check.one_of("base", base, ("free", "clamped"))
+            base
+            if isinstance(base, (Drive, Mount))
+            else check.one_of("base", base, ("free", "clamped"))
         )
         self._connect(rods)
         count = len(rods)
@@ -161,6 +164,7 @@ class Rods(Body):
         if isinstance(self.base, Drive):
             for what in ("velocity", "angular_velocity"):
                 self._at_bases(what, 0.0)
+        self.mounted(0.0, State(self.positions, self.quaternions))  # refuses bad numbers
         self._require_own_time(delay)
         self.epsilon = None if epsilon is None else check.positive("epsilon", epsilon)
         self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
@@ -241,6 +245,8 @@ class Rods(Body):
         timed = self._beat is not None or callable(self._intrinsic)
         if isinstance(self.base, Drive):
             timed = timed or self.base.depends_on_time
+        if isinstance(self.base, Mount):
+            timed = timed or callable(self.base.turning)
         if self._delay.any() and not timed:
             raise ValueError(
                 "delay must be 0 where nothing depends on the rods' own time: there is no beat, "
@@ -270,6 +276,16 @@ class Rods(Body):
             force[self.first] = 0.0
             torque[self.first] = 0.0
         return force, torque
+
+    def mounted(self, time: float, state: State) -> Mounted | None:
+        """Return the first nodes if they are fixed to another body."""
+        if not isinstance(self.base, Mount):
+            return None
+        count, times = len(self.first), time - self._delay
+        drive, name = Drive(angular_velocity=self.base.turning), f"rod {{}} of {self.name!r}"
+        turning = drive.at("angular_velocity", times, "base", name)
+        loads = np.hstack([load[self.first] for load in self._node_loads(time, state)])
+        return Mounted(self.first, self.base.body, self.base.numbers(count), loads, turning)
 
     def base_force(self, time: float, state: State) -> np.ndarray:
         """Return the forces of the rods on whatever holds their first nodes, (rods, 3)."""
