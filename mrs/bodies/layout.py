@@ -73,9 +73,7 @@ class Layout:
         )
         if not len(self.initial.positions):
             raise ValueError("bodies must have at least one point")
-        sizes = [
-            len(body.points(0.0, State(body.positions, body.quaternions))) for body in bodies
-        ]
+        sizes = [len(body.points(0.0, State(body.positions, body.quaternions))) for body in bodies]
         places = zip(
             bodies,
             _slices(len(body.positions) for body in bodies),
@@ -132,7 +130,7 @@ class Layout:
         return np.concatenate([part.body.points(time, part.state(state)) for part in self.parts])
 
     def given_motion(self, time: float, state: State) -> GivenMotion:
-        """Return the motion of the points `given`; the frames of all bodies are numbered through."""
+        """Return the motion of the points `given`; frames are numbered through all bodies."""
         return joined(
             [
                 part.body.given_motion(time, part.state(state))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
@@ -14,6 +15,8 @@ from mrs.bodies.shapes import Shape, Still
 from mrs.bodies.surfaces import Surface
 from mrs.rigid_motion import GivenMotion, net_loads
 from mrs.time.state import Arrays, State
+
+_TOUCHING = 0.65  # of the distance of neighbours: the radius of spheres without holes between
 
 
 @check.spelling
@@ -38,7 +41,8 @@ class Rigid(Body):
     epsilon : float or (p,) array_like, optional
         Blob sizes; by default those of the surface, then the fluid's.
     radius : float, optional
-        Of the points in pictures; their epsilon by default.
+        Of the points in pictures. By default spheres touch their neighbours, and lines are as thick
+        as their blob size tells, epsilon / sqrt(e).
     name : str, optional
         Of the output file.
 
@@ -179,15 +183,26 @@ class Rigid(Body):
     def topology(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the points that are on no line as vertices, and the lines of the surface."""
         surface = self.shape.surface
-        count = len(surface.points)
-        single = np.setdiff1d(np.arange(count), np.concatenate([[], *surface.lines]))
-        starts = count * np.arange(len(self.positions))
-        vertices = (starts[:, None] + single).ravel().astype(int)
+        starts = len(surface.points) * np.arange(len(self.positions))
+        vertices = (starts[:, None] + self._single).ravel()
         return vertices, [line + start for start in starts for line in surface.lines]
+
+    @property
+    def _single(self) -> np.ndarray:
+        """Points of the surface that are on no line."""
+        surface = self.shape.surface
+        on_lines = np.concatenate([np.empty(0, int), *surface.lines])
+        return np.setdiff1d(np.arange(len(surface.points)), on_lines)
 
     def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return radius and the body's number at points."""
-        radius = epsilons if self.radius is None else np.full(len(epsilons), self.radius)
+        radius = epsilons / np.sqrt(np.e)
+        if self.radius is not None:
+            radius = np.full(len(epsilons), self.radius)
+        elif len(single := self._single):
+            points = self.shape.surface.points[single]
+            distance, _ = scipy.spatial.cKDTree(points).query(points, k=[min(2, len(points))])
+            radius.reshape(len(self.positions), -1)[:, single] = _TOUCHING * distance[:, 0]
         return {"radius": radius, "body_id": self._frame}, {}
 
 
@@ -216,11 +231,18 @@ class Prescribed(Rigid):
         self,
         shape: Shape,
         *,
+        positions: ArrayLike = ((0.0, 0.0, 0.0),),
+        orientations: ArrayLike | None = None,
         motion: Literal["held", "free"] | Drive = "held",
+        force: ArrayLike = (0.0, 0.0, 0.0),
+        torque: ArrayLike = (0.0, 0.0, 0.0),
+        delay: ArrayLike = 0.0,
+        epsilon: ArrayLike | None = None,
+        radius: float | None = None,
         name: str = "prescribed",
-        **others: Any,
     ) -> None:
-        super().__init__(shape, motion=motion, name=name, **others)
+        given = {k: v for k, v in locals().items() if k not in ("self", "__class__")}
+        super().__init__(**given)
 
 
 def _shape(shape: Any) -> Shape:

@@ -155,9 +155,7 @@ def disc(radius: float, count: int) -> Surface:
 
 
 @check.spelling
-def along(
-    centerline: geometry.Centerline, thickness: float, *, spacing: float = _DENSE
-) -> Surface:
+def along(centerline: geometry.Centerline, thickness: float, *, spacing: float = _DENSE) -> Surface:
     """Return points along a thin body, with the blob size that gives it its drag.
 
     Parameters

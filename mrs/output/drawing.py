@@ -15,7 +15,13 @@ from mrs.output.vtp import polydata
 if TYPE_CHECKING:
     import pyvista as pv
 
-_COLORS = {"rods": "#3b6ea5", "swimmers": "#c8553d", "tracers": "#8a8f98"}
+_COLORS = {
+    "rods": "#3b6ea5",
+    "rigid": "#7a6a9b",
+    "prescribed": "#4f8f6f",
+    "swimmers": "#c8553d",
+    "tracers": "#8a8f98",
+}
 _COLOR_MAP = "viridis"
 _PAPER, _INK, _WALL = "white", "#303030", "#d4d4ce"
 _LIGHTS = (((-1, 1, 2), 0.75), ((2, 0.5, 1), 0.35), ((0, -1, 1), 0.2))  # positions, intensities
@@ -149,6 +155,14 @@ def _tubes(mesh: pv.PolyData) -> _Shapes:
     return [(mesh.tube(radius=0.004, n_sides=20), dict(_SHARP))]
 
 
+def _tubes_and_spheres(mesh: pv.PolyData) -> _Shapes:
+    """Draw lines as tubes, and points that are on no line as spheres."""
+    shapes = _tubes(mesh) if mesh.n_lines else []
+    if mesh.n_verts:
+        shapes.append(_spheres(mesh.extract_points(mesh.verts[1::2], include_cells=False)))
+    return shapes
+
+
 def _arrows_and_spheres(mesh: pv.PolyData) -> _Shapes:
     import pyvista as pv
 
@@ -176,11 +190,18 @@ def _arrows_and_spheres(mesh: pv.PolyData) -> _Shapes:
         tip_resolution=24,
         shaft_resolution=16,
     )
+    arrows = middle.glyph(orient="along", scale="length", factor=1.0, geom=arrow)
+    return [(arrows, dict(_SHARP)), _spheres(mesh)]
+
+
+def _spheres(mesh: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a sphere of the radius of each point."""
+    import pyvista as pv
+
     facets = int(np.clip(np.sqrt(_FACETS / (2 * mesh.n_points)), 6, 24))
     sphere = pv.Sphere(radius=1.0, theta_resolution=facets, phi_resolution=facets)
-    arrows = middle.glyph(orient="along", scale="length", factor=1.0, geom=arrow)
     spheres = mesh.glyph(orient=False, scale="radius", factor=1.0, geom=sphere)
-    return [(arrows, dict(_SHARP)), (spheres, {"smooth_shading": True})]
+    return spheres, {"smooth_shading": True}
 
 
 def _dots(mesh: pv.PolyData) -> _Shapes:
@@ -189,6 +210,8 @@ def _dots(mesh: pv.PolyData) -> _Shapes:
 
 SHAPES: dict[str, Callable[[pv.PolyData], _Shapes]] = {
     "rods": _tubes,
+    "rigid": _tubes_and_spheres,
+    "prescribed": _tubes_and_spheres,
     "swimmers": _arrows_and_spheres,
     "tracers": _dots,
 }

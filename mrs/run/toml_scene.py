@@ -29,13 +29,18 @@ from mrs.bodies import (
     BODIES,
     Body,
     Drive,
+    Mount,
+    Prescribed,
+    Rigid,
     Rods,
     Swimmers,
     Tracers,
     TravellingWave,
+    Turning,
     geometry,
     lattice_suspension,
     random_suspension,
+    surfaces,
 )
 from mrs.fluid import BOUNDARIES, Fluid, flows
 from mrs.forces import FORCES, Force
@@ -93,6 +98,14 @@ def _named(functions: Mapping[str, Callable]) -> Any:
 Shape = _one_of(geometry.straight, geometry.helix, geometry.ring, geometry.at_rest)
 Background = _one_of(flows.shear, flows.extension, flows.poiseuille)
 Suspension = _one_of(random_suspension, lattice_suspension)
+Solid = _one_of(
+    surfaces.sphere,
+    surfaces.ellipsoid,
+    surfaces.capsule,
+    surfaces.disc,
+    surfaces.helix,
+    surfaces.read,
+)
 Vectors = list[tuple[float, float, float]]
 
 # Bodies whose options in TOML differ from the arguments of their class, and their making.
@@ -103,7 +116,20 @@ _ROD_OPTIONS: Any = _call(
     origins=(Vectors, [(0.0, 0.0, 0.0)]),
     intrinsic_curvature=Literal["initial"] | Vectors | tuple[float, float, float],
     beat=TravellingWave | None,
-    base=Literal["free", "clamped"] | Drive,
+    base=Literal["free", "clamped"] | Drive | Mount,
+)
+_FLAGELLUM: Any = _call(
+    Turning,
+    leave_out="fixed",
+    turning=(Solid, ...),
+    shift=(tuple[float, float, float], (0.0, 0.0, 0.0)),
+)
+_RIGID_OPTIONS: Any = _call(
+    Rigid,
+    shape=(Solid, ...),
+    positions=(Vectors, [(0.0, 0.0, 0.0)]),
+    motion=Literal["free", "held"] | Drive,
+    flagellum=(_FLAGELLUM | None, None),
 )
 _SWIMMER_OPTIONS: Any = _call(
     Swimmers,
@@ -199,6 +225,22 @@ def _swimmers(suspension: Any = None, **arguments: Any) -> Swimmers:
     return Swimmers(**arguments)
 
 
+def _rigid(shape: Any, flagellum: Any = None, **arguments: Any) -> Rigid:
+    with _at("shape"):
+        surface = _solid(shape)
+    if flagellum is None:
+        return Rigid(surface, **arguments)
+    with _at("flagellum"):
+        options = flagellum.arguments()
+        tail = _solid(options.pop("turning")).moved(options.pop("shift", (0.0, 0.0, 0.0)))
+        return Rigid(Turning(surface, tail, **options), **arguments)
+
+
+def _solid(options: Any) -> surfaces.Surface:
+    surface: surfaces.Surface = getattr(surfaces, options.kind)(**options.arguments())
+    return surface
+
+
 def _force(kind: str, options: Any) -> Force:
     return options if isinstance(options, Force) else FORCES[kind](**options.arguments())
 
@@ -207,5 +249,7 @@ _OPTIONS = {
     "rods": _ROD_OPTIONS,
     "swimmers": _SWIMMER_OPTIONS,
     "tracers": _call(Tracers, positions=Vectors),
+    "rigid": _RIGID_OPTIONS,
+    "prescribed": _call(Prescribed, shape=(Any, ...)),
 }
-_MAKERS: dict[str, Callable[..., Body]] = {"rods": _rods, "swimmers": _swimmers}
+_MAKERS: dict[str, Callable[..., Body]] = {"rods": _rods, "swimmers": _swimmers, "rigid": _rigid}
