@@ -59,7 +59,7 @@ def resistance(
     count, arms, frame = len(given.centre), given.arms, given.frame
     still = np.zeros_like(points)
     given = given._replace(velocity=still, free=np.zeros(count, bool))
-    columns = []
+    columns: list[np.ndarray] = []
     for unit in np.eye(6 * count):
         moving = given._replace(motion=unit.reshape(count, 6))
         # Each unit is a time of its own for what remembers the last solution.

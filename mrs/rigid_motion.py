@@ -72,6 +72,34 @@ class Mounted(NamedTuple):
     loads: np.ndarray
     turning: np.ndarray
 
+    def loads_about(self, arms: np.ndarray) -> np.ndarray:
+        """Return the loads with torques about the centres of the frames, (m, 6).
+
+        Parameters
+        ----------
+        arms : (m, 3) ndarray
+            From the centres to the points.
+        """
+        loads = self.loads.copy()
+        loads[:, 3:] += rotations.cross(arms, loads[:, :3])
+        return loads
+
+    def motion_with(self, frames: np.ndarray, given: GivenMotion, arms: np.ndarray) -> np.ndarray:
+        """Return velocities and angular velocities of the points, (m, 6).
+
+        Parameters
+        ----------
+        frames : (k, 6) ndarray
+            Motion of all frames.
+        given : GivenMotion
+            Of all frames.
+        arms : (m, 3) ndarray
+            From the centres to the points.
+        """
+        turning = rotations.rotate(given.quaternion[self.number], self.turning)
+        spin = frames[self.number, 3:] + turning
+        return np.hstack([carried(frames, arms, self.number), spin])
+
 
 def joined(parts: list[GivenMotion]) -> GivenMotion:
     """Return the motions of several bodies as one; their frames are numbered through."""

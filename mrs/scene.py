@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mrs import check, rotations
+from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
@@ -15,7 +15,6 @@ from mrs.forces import Force
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
-from treecode import Choice
 from treecode.ranks import joint
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
@@ -166,7 +165,7 @@ class Scene:
         self.forget()
 
     @property
-    def choices(self) -> list[Choice]:
+    def choices(self) -> list[Any]:
         """How is summed: the choice of each sum that has one."""
         return [choice for mobility in self.mobilities for choice in mobility.choices]
 
@@ -253,21 +252,17 @@ class Scene:
         load = given.load + net_loads(loads[rows, :3], arms, frame, len(given.free))
         loads[rows] = 0.0
         mounted = self.layout.mounted(time, state)
-        for fixed in mounted:
-            arm = points[fixed.rows] - given.centre[fixed.number]
-            np.add.at(load, fixed.number, _about(arm, fixed.loads))
+        levers = [points[fixed.rows] - given.centre[fixed.number] for fixed in mounted]
+        for fixed, lever in zip(mounted, levers, strict=True):
+            np.add.at(load, fixed.number, fixed.loads_about(lever))
         given = given._replace(load=load)
-        flow = self._flow(time, points, loads, loads.any())[rows, :3]
+        flow = self._flow(time, points, loads, bool(loads.any()))[rows, :3]
         with self.profile.stage("resistance"):
             loads[rows, :3], moved = self.resistance.solve(time, points[rows], given, flow)
         motion = self._flow(time, points, loads, len(rows) < len(points))
         motion[rows, :3] = given.velocity + carried(moved, arms, frame)
-        for fixed in mounted:
-            number = fixed.number
-            arm = points[fixed.rows] - given.centre[number]
-            motion[fixed.rows, :3] = carried(moved, arm, number)
-            turning = rotations.rotate(given.quaternion[number], fixed.turning)
-            motion[fixed.rows, 3:] = moved[number, 3:] + turning
+        for fixed, lever in zip(mounted, levers, strict=True):
+            motion[fixed.rows] = fixed.motion_with(moved, given, lever)
         return motion
 
     def _flow(
@@ -375,10 +370,3 @@ class Scene:
         _, line, size = np.unique(line, return_inverse=True, return_counts=True)
         middle = np.stack([np.bincount(line, column) for column in points.T], axis=1)
         return box.images(middle / size[:, None])[line]
-
-
-def _about(arm: np.ndarray, loads: np.ndarray) -> np.ndarray:
-    """Return forces and torques, (m, 6), about centres that are `arm`, (m, 3), away."""
-    moved = loads.copy()
-    moved[:, 3:] += rotations.cross(arm, loads[:, :3])
-    return moved

@@ -150,18 +150,24 @@ ALLOWED = {
     "mrs.profile": {"mrs.markdown"},
     "mrs.registry": set(),
     "mrs.rotations": set(),
+    "mrs.rigid_motion": {"mrs.rotations"},
+    "mrs.resistance_matrix": {
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.rigid_motion", "mrs.scene",
+    },
     "mrs.time": {"mrs.check", "mrs.registry", "mrs.rotations", "mrs.time"},
     "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
     "mrs.bodies": {
-        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rotations",
-        "mrs.time.state",
+        "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",
+        "mrs.rotations", "mrs.time.state",
     },
     "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry"},
     "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry", "treecode"},  # its boundaries
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
+    "mrs.fluid.blocks": {"mrs.rigid_motion", "mrs.rotations"},
+    "mrs.fluid.resistance": {"mrs.fluid", "mrs.rigid_motion", "mrs.rotations"},
     "mrs.scene": {
-        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.time.state",
-        "treecode.ranks",
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.rigid_motion",
+        "mrs.time.state", "treecode.ranks",
     },
     "mrs.observables": {
         "mrs.check", "mrs.fluid", "mrs.observables", "mrs.output", "mrs.registry",

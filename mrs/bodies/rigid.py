@@ -161,7 +161,8 @@ class Rigid(Body):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the velocities and the angular velocities of the axes, (n, 3) each."""
         if self.motion != "free":
-            return tuple(np.hsplit(self._at_rates(time), 2))
+            motion = self._at_rates(time)
+            return motion[:, :3], motion[:, 3:]
         given = self.given_motion(time, state)
         return _fitted(velocity - given.velocity, given)
 

@@ -106,7 +106,7 @@ class Simulation:
         self.output = check.instance("output", output, Output, type(None))
         trackers = check.instances("trackers", trackers, Tracker)
         self.recipe = recipe
-        self.scene = Scene(fluid, bodies, forces, backend, comm)
+        self.scene: Scene = Scene(fluid, bodies, forces, backend, comm)
         self.time: float = 0.0
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator)
