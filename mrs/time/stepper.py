@@ -115,13 +115,27 @@ class StepSizeError(ArithmeticError):
 
 
 class Stepper:
-    """Advances a state, one accepted step at a time."""
+    """Advances a state, one accepted step at a time.
 
-    def __init__(self, integrator: Integrator) -> None:
+    Parameters
+    ----------
+    integrator : Integrator
+    longest : float, optional
+        Up to which steps resolve the noise that is added after them; "auto" stays below.
+    """
+
+    def __init__(self, integrator: Integrator, longest: float = math.inf) -> None:
         self.tolerance = integrator.tolerance
         self.method = METHODS[integrator.name]
         self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
+        self.longest = longest
+        if self.fixed is not None and self.fixed > longest:
+            warnings.warn(
+                f"dt: {self.fixed:g} is longer than {longest:.3g}, up to which steps resolve the "
+                "noise of the bodies; use a smaller dt or dt='auto'",
+                stacklevel=4,
+            )
         self.h: float | None = None
         self.taken: float = 0.0
         self.radius = 0.0
@@ -236,7 +250,7 @@ class Stepper:
             self.h = min(interval, self._time_to_move(first, rates, scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
-            wanted = max(wanted, 0.01 * _SMALLEST * interval)
+            wanted = max(min(wanted, self.longest), 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - _LONGER)))
 
     def _time_to_move(self, distance: float, rates: np.ndarray, scale: np.ndarray) -> float:
