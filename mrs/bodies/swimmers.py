@@ -7,7 +7,7 @@ collapse.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -261,7 +261,7 @@ def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @check.spelling
 def lattice_suspension(
-    shape: Iterable[int], spacing: float, *, direction: ArrayLike | None = None, seed: int = 0
+    shape: Sequence[int], spacing: float, *, direction: ArrayLike | None = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions on a cubic lattice centred at the origin, with orientations.
 

@@ -21,6 +21,7 @@ _WARNING = 1.02  # as `MARGIN`, where too early a warning is as bad as one too l
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
+_ROUNDING = 64.0 * np.finfo(float).eps  # of coordinates, in a step
 _MEMORY = "memory/"  # before the names of arrays that a method remembers
 _LONGER = 1e-6  # of a step asked for, by which it may be longer: late times are rounded coarsely
 
@@ -216,7 +217,8 @@ class Stepper:
             new, error, memory = self.method.step(problem, time, z, h, self.memory)
             unit = system.error_scale
             if not unit.all():
-                unit = _filled(unit, new - z, h * rates)
+                rounding = _ROUNDING / self.tolerance * z  # is no error, even if nothing moves
+                unit = _filled(unit, new - z, h * rates, rounding)
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 refused = system.refusal(time + h, state.moved(new))
