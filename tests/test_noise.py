@@ -207,7 +207,7 @@ def test_seeds_bodies_and_steps_have_numbers_of_their_own():
 
 def test_nothing_is_done_without_noise():
     quiet = mrs.Simulation(mrs.Fluid(), [dust(diffusivity=0.0)])
-    assert quiet.scene.kicked(quiet.state, 1.0, 1) is quiet.state
+    assert quiet.scene.kicked(0.0, quiet.state, 1.0, 1) is quiet.state
     assert quiet.scene.longest_step == np.inf
     assert not mrs.Tracers([[0.0, 0.0, 0.0]]).noise
 
@@ -351,7 +351,7 @@ def test_swimmers_that_tumble_at_a_wall_stay_above_it():
         lowest.append(np.inf)
         while sim.time < 0.5:
             sim.step(0.5)
-            lowest[-1] = min(lowest[-1], swimmers.points(sim.state)[:, 2].min())
+            lowest[-1] = min(lowest[-1], swimmers.points(sim.time, sim.state)[:, 2].min())
     assert lowest[0] > 0.0 > lowest[1]
 
 
