@@ -66,8 +66,15 @@ class NotFiniteValueError(FunctionError):
     """The result is not finite, which may be due to too long a step."""
 
 
-def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.inf) -> np.ndarray:
-    """Return `value`, finite and greater than `low`, broadcast to `shape` as float64."""
+def broadcast(
+    name: str,
+    value: Any,
+    shape: tuple[int, ...],
+    low: float = -np.inf,
+    *,
+    low_inclusive: bool = False,
+) -> np.ndarray:
+    """Return `value`, finite and above `low` as in `within`, broadcast to `shape` as float64."""
     array = real(name, value)
     try:
         array = np.array(np.broadcast_to(array, shape), np.float64)
@@ -75,7 +82,7 @@ def broadcast(name: str, value: Any, shape: tuple[int, ...], low: float = -np.in
         raise ValueError(
             f"{name} must be a number, or have shape {shape}, got shape {array.shape}"
         ) from None
-    return within(name, array, low)
+    return within(name, array, low, low_inclusive=low_inclusive)
 
 
 def not_negative(name: str, value: Any, high: float = 1e60) -> float:

@@ -70,6 +70,8 @@ class Scene:
         Unit of errors of each coordinate; 0 where nothing has a length.
     perturbation : (P + Q, 1) float64 ndarray
         A small displacement of each coordinate; 0 likewise.
+    longest_step : float
+        That resolves the noise of the bodies; infinite without noise.
     """
 
     def __init__(
@@ -103,6 +105,8 @@ class Scene:
         self.ranks = self.mobility.ranks
         self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
+        smallest = self.epsilons[layout.has_force].min(initial=np.inf)
+        self.longest_step = layout.longest_step(smallest)
         layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
         self._require_inside(layout.points(0.0, layout.initial), 0.0)
         self._last: Evaluation | None = None
@@ -221,6 +225,10 @@ class Scene:
         except OutsideError as error:
             return error
         return None
+
+    def kicked(self, time: float, state: State, h: float, step: int) -> State:
+        """Return the state after the noise in a step of size h that ends, with its number."""
+        return self.layout.kicked(time, state, h, step, self.fluid.boundary.outside)
 
     def _loads(self, time: float, state: State, points: np.ndarray) -> np.ndarray:
         """Return the loads of the bodies, and the forces between them."""

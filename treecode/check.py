@@ -150,12 +150,14 @@ def shaped(name: str, value: Any, *shapes: tuple[int, ...]) -> np.ndarray:
     return within(name, array.astype(np.float64), -np.inf)
 
 
-def within(name: str, array: np.ndarray, low: float) -> np.ndarray:
-    """Return `array` if it is finite and greater than `low`."""
-    bad = np.argwhere(~(np.isfinite(array) & (array > low)))
+def within(name: str, array: np.ndarray, low: float, *, low_inclusive: bool = False) -> np.ndarray:
+    """Return `array` if it is finite and above `low`, or `low` itself if that is said."""
+    above = array >= low if low_inclusive else array > low
+    bad = np.argwhere(~(np.isfinite(array) & above))
     if len(bad):
         place = tuple(bad[0].tolist())
-        bound = "" if low == -np.inf else f" and greater than {low:g}"
+        than = "at least" if low_inclusive else "greater than"
+        bound = "" if low == -np.inf else f" and {than} {low:g}"
         where = f" at {name}[{', '.join(map(str, place))}]" if place else ""
         raise ValueError(f"{name} must be finite{bound}, got {array[place]}{where}")
     return array

@@ -2,6 +2,7 @@
 
 from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive, Mount
+from mrs.bodies.noise import Noise
 from mrs.bodies.rigid import Prescribed, Rigid
 from mrs.bodies.rods import Rods, TravellingWave
 from mrs.bodies.shapes import Moving, Turning
@@ -20,6 +21,7 @@ __all__ = [
     "Drive",
     "Mount",
     "Moving",
+    "Noise",
     "Prescribed",
     "Rigid",
     "Rods",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mrs.bodies.noise import Noise
 from mrs.describe import described, own_code
 from mrs.rigid_motion import GivenMotion, Mounted
 from mrs.time.state import Arrays, State
@@ -32,6 +33,8 @@ class Body:
         The state at time zero.
     length_scale : float
         Errors of positions are judged against it; 0 for points that have no length.
+    noise : Noise or None
+        Random motion of its pieces, which must have one position each.
     """
 
     kind: str
@@ -43,6 +46,7 @@ class Body:
     has_torque = False
     has_spin = False
     has_given_motion = False
+    noise: Noise | None = None
     made_with: Mapping[str, Any] = MappingProxyType({})
 
     def parameters(self) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -39,6 +39,8 @@ class Layout:
     parts : list of Part
     initial : State
         Of all bodies at time zero.
+    noisy : dict
+        By the number of each body that moves at random: its part, its noise.
     count : int
         Number N of points, at which forces act and velocities are known.
     width : int
@@ -83,6 +85,11 @@ class Layout:
         )
         self.bodies = tuple(bodies)
         self.parts = [Part(*place) for place in places]
+        self.noisy = {
+            number: (part, part.body.noise)
+            for number, part in enumerate(self.parts)
+            if part.body.noise
+        }
         self.count = sum(sizes)
 
         def at_points(values: Iterable[Any]) -> np.ndarray:
@@ -201,6 +208,37 @@ class Layout:
             spins.append(turning)
         return np.concatenate([*velocities, *spins])
 
+    def longest_step(self, length: float) -> float:
+        """Return the longest step that resolves the noise, in flows that change over a length."""
+        steps = (noise.longest_step(length) for _, noise in self.noisy.values())
+        return min(steps, default=np.inf)
+
+    def kicked(
+        self,
+        time: float,
+        state: State,
+        h: float,
+        step: int,
+        outside: Callable[[np.ndarray], np.ndarray],
+    ) -> State:
+        """Return the state after the random motion in a step of size h that ends, with its number.
+
+        `outside` gives the rows of points that are not in the fluid. A piece of which a point would
+        be there stays as it is. Random numbers depend on the seed and the place of a body and on
+        the number of the step: there is no state of a generator to be kept.
+        """
+        if not self.noisy:
+            return state
+        positions, quaternions = state.positions.copy(), state.quaternions.copy()
+        for number, (part, noise) in self.noisy.items():
+            bits = np.random.Philox(key=noise.seed + (number << 64), counter=step << 192)
+            moved = noise.kicked(part.state(state), h, np.random.Generator(bits))
+            free = ~_pieces_with(part.body, outside(part.body.points(time, moved)))
+            turning = free[: len(moved.quaternions)]
+            positions[part.positions][free] = moved.positions[free]
+            quaternions[part.quaternions][turning] = moved.quaternions[turning]
+        return State(positions, quaternions)
+
     @cached_property
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Connected pieces of all forced points, places along them, and rounds of closed ones.
@@ -253,6 +291,11 @@ def _require_shape(body: Body, what: str, array: np.ndarray, *shapes: tuple[int,
         raise ValueError(
             f"{what} of {body.name!r} must have shape {allowed}, got shape {np.shape(array)}"
         )
+
+
+def _pieces_with(body: Body, rows: np.ndarray) -> np.ndarray:
+    """Return of each position whether one of some points, in rows, is of its piece, (n,)."""
+    return np.isin(body.pieces(), body.contact_labels()[0][rows])
 
 
 def _slices(sizes: Iterable[int]) -> list[slice]:

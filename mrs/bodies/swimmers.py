@@ -7,7 +7,7 @@ collapse.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from mrs import check, rotations
 from mrs.bodies import geometry
 from mrs.bodies.base import Body
+from mrs.bodies.noise import Noise
 from mrs.time.state import Arrays, State
 
 _AXIS = np.array([[0.0, 0.0, 1.0]])
@@ -43,6 +44,11 @@ class Swimmers(Body):
         the body's for the flagellum.
     radius : float or array_like, optional
         Of the beads in pictures, a number or (n,); their epsilon by default.
+    tumble_rate, tumble_angle, rotational_diffusivity, diffusivity : float or array_like, optional
+        Of their random motion, a number or (n,), as for `mrs.bodies.Noise`. A direction turns about
+        the body, and tumbles to a direction that is uniform over the sphere by default.
+    seed : int, optional
+        Of the random motion.
     name : str, optional
         Of the output file.
 
@@ -66,6 +72,11 @@ class Swimmers(Body):
         epsilon: ArrayLike | None = None,
         flagellum_epsilon: ArrayLike | None = None,
         radius: ArrayLike | None = None,
+        tumble_rate: ArrayLike = 0.0,
+        tumble_angle: ArrayLike | None = None,
+        rotational_diffusivity: ArrayLike = 0.0,
+        diffusivity: ArrayLike = 0.0,
+        seed: int = 0,
         name: str = "swimmers",
     ) -> None:
         self.made_with = {k: v for k, v in locals().items() if k != "self"}
@@ -91,6 +102,14 @@ class Swimmers(Body):
         )
         self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
         self.length_scale = float(self.length.max(initial=0.0))
+        self.noise = Noise(
+            count,
+            diffusivity=diffusivity,
+            rotational_diffusivity=rotational_diffusivity,
+            tumble_rate=tumble_rate,
+            tumble_angle=tumble_angle,
+            seed=seed,
+        )
 
     def orientations(self, quaternions: np.ndarray) -> np.ndarray:
         """Return the directions p, (n, 3)."""
@@ -242,7 +261,7 @@ def _random_directions(count: int, rng: np.random.Generator) -> np.ndarray:
 
 @check.spelling
 def lattice_suspension(
-    shape: Iterable[int], spacing: float, *, direction: ArrayLike | None = None, seed: int = 0
+    shape: Sequence[int], spacing: float, *, direction: ArrayLike | None = None, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return positions on a cubic lattice centred at the origin, with orientations.
 

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from mrs import check
 from mrs.bodies.base import Body
+from mrs.bodies.noise import Noise
 from mrs.time.state import Arrays, State
 
 
@@ -17,6 +18,10 @@ class Tracers(Body):
     Parameters
     ----------
     positions : (n, 3) array_like
+    diffusivity : float or array_like, optional
+        D of their random motion besides that with the flow, a number or (n,).
+    seed : int, optional
+        Of the random motion.
     name : str, optional
         Of the output file.
     """
@@ -24,11 +29,19 @@ class Tracers(Body):
     kind = "tracers"
     has_force = False
 
-    def __init__(self, positions: ArrayLike, *, name: str = "tracers") -> None:
+    def __init__(
+        self,
+        positions: ArrayLike,
+        *,
+        diffusivity: ArrayLike = 0.0,
+        seed: int = 0,
+        name: str = "tracers",
+    ) -> None:
         self.made_with = {k: v for k, v in locals().items() if k != "self"}
         self.name = check.file_name("name", name)
         self.positions = check.points("positions", positions)
         self.quaternions = np.empty((0, 4))
+        self.noise = Noise(len(self.positions), diffusivity=diffusivity, seed=seed)
         self.length_scale = (
             float(np.ptp(self.positions, axis=0).max()) if len(self.positions) else 0.0
         )
@@ -42,6 +55,10 @@ class Tracers(Body):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the fluid's velocity."""
         return velocity, np.empty((0, 3))
+
+    def pieces(self) -> np.ndarray:
+        """Return the tracers' numbers, (n,)."""
+        return np.arange(len(self.positions))
 
     def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return each tracer's number."""

@@ -109,7 +109,7 @@ class Simulation:
         self.scene: Scene = Scene(fluid, bodies, forces, backend, comm)
         self.time: float = 0.0
         self.state: State = self.scene.layout.initial
-        self.stepper: Stepper = Stepper(integrator)
+        self.stepper: Stepper = Stepper(integrator, self.scene.longest_step)
         self.moment: Moment = Moment(0.0, 0, 0.0)
         self.trackers = [*([] if output is None else output.trackers(self)), *trackers]
         self.resumed = False
@@ -292,6 +292,7 @@ class Simulation:
             with self.profile.stage("integrator"), ignoring:
                 time, state = self.stepper.step(system, self.time, self.state, stop)
             require_whole(self, state)
+            state = self.scene.kicked(time, state, self.stepper.taken, self.stepper.steps)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
             told = explained(self, error)
             self.stepper.restore(*before)

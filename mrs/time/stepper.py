@@ -21,6 +21,7 @@ _WARNING = 1.02  # as `MARGIN`, where too early a warning is as bad as one too l
 _RENEW = 50  # steps, after which the spectral radius is estimated again
 _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is given up
 _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
+_ROUNDING = 64.0 * np.finfo(float).eps  # of coordinates, in a step
 _MEMORY = "memory/"  # before the names of arrays that a method remembers
 _LONGER = 1e-6  # of a step asked for, by which it may be longer: late times are rounded coarsely
 
@@ -115,13 +116,27 @@ class StepSizeError(ArithmeticError):
 
 
 class Stepper:
-    """Advances a state, one accepted step at a time."""
+    """Advances a state, one accepted step at a time.
 
-    def __init__(self, integrator: Integrator) -> None:
+    Parameters
+    ----------
+    integrator : Integrator
+    longest : float, optional
+        Up to which steps resolve the noise that is added after them; "auto" stays below.
+    """
+
+    def __init__(self, integrator: Integrator, longest: float = math.inf) -> None:
         self.tolerance = integrator.tolerance
         self.method = METHODS[integrator.name]
         self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
+        self.longest = longest
+        if self.fixed is not None and self.fixed > longest:
+            warnings.warn(
+                f"dt: {self.fixed:g} is longer than {longest:.3g}, up to which steps resolve the "
+                "noise of the bodies; use a smaller dt or dt='auto'",
+                stacklevel=4,
+            )
         self.h: float | None = None
         self.taken: float = 0.0
         self.radius = 0.0
@@ -202,7 +217,8 @@ class Stepper:
             new, error, memory = self.method.step(problem, time, z, h, self.memory)
             unit = system.error_scale
             if not unit.all():
-                unit = _filled(unit, new - z, h * rates)
+                rounding = _ROUNDING / self.tolerance * z  # is no error, even if nothing moves
+                unit = _filled(unit, new - z, h * rates, rounding)
             ratio = self._error_ratio(new, error, unit)
             if ratio <= 1.0:
                 refused = system.refusal(time + h, state.moved(new))
@@ -236,7 +252,7 @@ class Stepper:
             self.h = min(interval, self._time_to_move(first, rates, scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
-            wanted = max(wanted, 0.01 * _SMALLEST * interval)
+            wanted = max(min(wanted, self.longest), 0.01 * _SMALLEST * interval)
         return interval / max(1, math.ceil(interval / wanted * (1.0 - _LONGER)))
 
     def _time_to_move(self, distance: float, rates: np.ndarray, scale: np.ndarray) -> float:
