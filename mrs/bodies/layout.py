@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -12,6 +13,8 @@ import numpy as np
 from mrs.bodies.base import Body
 from mrs.rigid_motion import GivenMotion, Mounted, joined
 from mrs.time.state import State
+
+_MANY = 16  # blob sizes
 
 
 class Part(NamedTuple):
@@ -112,8 +115,21 @@ class Layout:
         ------
         ValueError
             If neither the fluid nor the body sets one.
+
+        Warns
+        -----
+        UserWarning
+            If there are more than sixteen sizes, since each costs a sum.
         """
-        return np.concatenate([self._epsilons(body, default) for body in self.bodies])
+        epsilons = np.concatenate([self._epsilons(body, default) for body in self.bodies])
+        sizes = len(np.unique(epsilons[self.has_force]))
+        if sizes > _MANY:
+            warnings.warn(
+                f"epsilon has {sizes} different values in this scene, and each costs a sum of its "
+                "own; a few are faster, as those of mrs.Taper(..., steps=8) along a rod",
+                stacklevel=4,
+            )
+        return epsilons
 
     def _epsilons(self, body: Body, default: float | None) -> np.ndarray:
         if not body.has_force:

@@ -34,6 +34,7 @@ from mrs.bodies import (
     Rigid,
     Rods,
     Swimmers,
+    Taper,
     Tracers,
     TravellingWave,
     Turning,
@@ -211,6 +212,10 @@ def _fluid(options: Any) -> Fluid:
 def _rods(shape: Any, origins: Any = ((0.0, 0.0, 0.0),), **arguments: Any) -> Rods:
     with _at("shape"):
         centerline = getattr(geometry, shape.kind)(**shape.arguments())
+    for name, value in arguments.items():
+        if isinstance(value, Mapping):
+            with _at(name):
+                arguments[name] = Taper(**value)
     return Rods(geometry.array(centerline, origins), **arguments)
 
 
