@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrs import check
 from mrs.bodies.base import Body
 from mrs.rigid_motion import GivenMotion, Mounted, joined
 from mrs.time.state import State
@@ -102,6 +103,24 @@ class Layout:
     def part(self, body: Body) -> Part:
         """Return where a body lives."""
         return next(part for part in self.parts if part.body is body)
+
+    @property
+    def forced_names(self) -> list[str]:
+        """Names of the bodies that put forces on the fluid."""
+        return [body.name for body in self.bodies if body.has_force]
+
+    def forced_part(self, role: str, name: str) -> tuple[Part, slice]:
+        """Return the body of a name, and which of the points `forced` are its own.
+
+        Raises
+        ------
+        ValueError
+            If it is no body that puts forces on the fluid; `role` is the argument that names it.
+        """
+        check.one_of(role, name, self.forced_names)
+        part = next(part for part in self.parts if part.body.name == name)
+        first = int(np.searchsorted(self.forced, part.points.start))
+        return part, slice(first, first + part.points.stop - part.points.start)
 
     def point_count(self, body: Body) -> int:
         """Return how many points a body has."""
@@ -216,6 +235,11 @@ class Layout:
             velocities.append(velocity)
             spins.append(turning)
         return np.concatenate([*velocities, *spins])
+
+    @cached_property
+    def initial_points(self) -> np.ndarray:
+        """Points of all bodies at time zero, (N, 3)."""
+        return self.points(0.0, self.initial)
 
     @cached_property
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -282,6 +282,11 @@ class Rods(Body):
         torque[self._right] += couple - moment
         return force, torque
 
+    def lengths_of_points(self) -> np.ndarray:
+        """Return half the lengths of the segments that meet at each node, (nodes,)."""
+        ends = np.concatenate([self._left, self._right])
+        return np.bincount(ends, np.tile(0.5 * self.spacing, 2))
+
     def energy(self, time: float, state: State) -> float:
         """Return the elastic energy of all rods."""
         bending, stretching = self._energies(self.elasticity(time, state))
