@@ -12,6 +12,7 @@ from mrs.bodies import (
     Rods,
     Surface,
     Swimmers,
+    Taper,
     Tracers,
     TravellingWave,
     Turning,
@@ -23,7 +24,7 @@ from mrs.bodies import (
 from mrs.bodies.geometry import Centerline
 from mrs.bodies.layout import Layout
 from mrs.fluid import BOUNDARIES, Backend, Flow, Fluid, Periodic, Wall, flows
-from mrs.forces import FORCES, Force, Steric
+from mrs.forces import FORCES, Force, Gravity, Springs, Steric, UserForce
 from mrs.observables import OBSERVABLES
 from mrs.output.formats import FORMATS
 from mrs.output.frame_files import BodyFile
@@ -61,6 +62,7 @@ __all__ = [
     "Flow",
     "Fluid",
     "Force",
+    "Gravity",
     "Integrator",
     "Interrupt",
     "Interval",
@@ -80,15 +82,18 @@ __all__ = [
     "Scene",
     "Simulation",
     "SimulationError",
+    "Springs",
     "State",
     "Steps",
     "Steric",
     "Surface",
     "Swimmers",
+    "Taper",
     "Tracers",
     "Tracker",
     "TravellingWave",
     "Turning",
+    "UserForce",
     "Wall",
     "WallTime",
     "__version__",

@@ -53,6 +53,7 @@ __all__ = [
     "unmasked",
     "vector",
     "vectors",
+    "within",
 ]
 
 _Called = TypeVar("_Called", bound=Callable[..., Any])

@@ -108,7 +108,9 @@ class Scene:
         smallest = self.epsilons[layout.has_force].min(initial=np.inf)
         self.longest_step = layout.longest_step(smallest)
         layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
-        self._require_inside(layout.points(0.0, layout.initial), 0.0)
+        self._require_inside(layout.initial_points, 0.0)
+        for force in self.forces:
+            force.require(layout, fluid)
         self._last: Evaluation | None = None
 
     def _resistance(self, comm: Any) -> Resistance:
@@ -237,17 +239,23 @@ class Scene:
         if self.forces and len(forced):
             touching = points[forced]
             for force in self.forces:
-                values = force.forces(time, touching, self.layout, self.fluid)
-                loads[forced, :3] += self._checked(force, values, time)
+                forces, torques = force.loads(time, state, touching, self.layout, self.fluid)
+                loads[forced, :3] += self._checked(f"force {force.kind!r}", forces, time)
+                if torques is not None:
+                    name = f"torque of force {force.kind!r}"
+                    torques = self._checked(name, torques, time)
+                    if torques[~self.layout.has_torque[forced]].any():
+                        raise check.FunctionError(f"{name} must be zero at points without torques")
+                    loads[forced, 3:] += torques[:, : self.layout.width - 3]
         return loads
 
-    def _checked(self, force: Force, values: np.ndarray, time: float) -> np.ndarray:
-        """Return the forces, (F, 3), that a force gives at the points `layout.forced`."""
+    def _checked(self, name: str, values: np.ndarray, time: float) -> np.ndarray:
+        """Return what a force gives at the points `layout.forced`, (F, 3)."""
 
         def where(row: int) -> str:
             return f"at {self.layout.point_name(int(self.layout.forced[row]))} and time {time:g}"
 
-        return check.vectors(f"force {force.kind!r}", values, len(self.layout.forced), where)
+        return check.vectors(name, values, len(self.layout.forced), where)
 
     def _motion(
         self, time: float, state: State, points: np.ndarray, loads: np.ndarray
@@ -310,8 +318,11 @@ class Scene:
                 self.forget()
 
     def energy(self, time: float, state: State) -> float:
-        """Return the elastic energy of all bodies."""
-        return sum(part.body.energy(time, part.state(state)) for part in self.layout.parts)
+        """Return the elastic energy of all bodies and of the forces between them."""
+        layout = self.layout
+        points = layout.points(time, state)[layout.forced]
+        of_bodies = sum(part.body.energy(time, part.state(state)) for part in layout.parts)
+        return of_bodies + sum(f.energy(time, points, layout, self.fluid) for f in self.forces)
 
     @joint
     def sampled_error(self, time: float, state: State) -> float:

@@ -39,7 +39,7 @@ SHAPES = [
 REFUSED = [
     *[(count, [1, 10], r"\[1, 10\] could be meant .*\[\[1, 10\]\].*\[\[1\], \[10\]\]")
       for count in (1, 2, 3)],
-    (3, [1, 2, 3, 4], r"shape \(3,\).*\(1, 2\) or \(3, 2\).*got shape \(4,\)"),
+    (3, [1, 2, 3, 4], r"shape \(3,\).*\(12,\).*\(1, 2\), \(3, 2\) or \(12, 2\).*got shape \(4,\)"),
     (3, [[1, 2], [3, 4]], r"got shape \(2, 2\)"),
     (2, [[1], [2], [3]], r"got shape \(3, 1\)"),
     (2, [[1, 2, 3]], r"got shape \(1, 3\)"),
@@ -296,7 +296,7 @@ OPTIONS = [
     ("scene", {"rods": [ROD | {"base": {"velocity": 1}}]}, r"rods\.0\.base\.Drive: velocity must"),
     ("scene", {"rods": [ROD | {"beat": {"amplitude": [1, 0, 0], "wavelength": 0, "period": 1}}]},
      r"rods\.0\.beat: wavelength must be .*got 0"),
-    ("scene", {"steric": {"strength": -1, "radius": 1}}, "steric: strength must be .*got -1"),
+    ("scene", {"steric": {"strength": -1, "radius": 1}}, r"steric\.0: strength must be .*got -1"),
     ("scene", {"rods": [{"shape": {"kind": "helix"}}]}, r"rods\.0\.shape\.helix\.radius: must be"),
     ("cilia_array", {"backend": "fnm"}, "backend: name must be one of .*'fmm'.*, got 'fnm'"),
     ("cilia_array", {"integrator": "rk5"}, "integrator: name must be one of .*got 'rk5'"),

@@ -11,7 +11,7 @@ import mrs
 from mrs.run import cli, scenario_files
 from tests.cases import rod_oracle as oracle
 from tests.plugins import crossing, symmetry_plane
-from tests.plugins.registered import NAMES, PARTS, adams_bashforth, gravity, weights, xyz
+from tests.plugins.registered import NAMES, PARTS, adams_bashforth, pull, weights, xyz
 
 EPSILON, VISCOSITY, FORCE = 0.1, 2.0, 3.0
 SPEED = FORCE / (4.0 * np.pi * VISCOSITY * EPSILON)  # of one blob: H1(0) = 1 / (4 pi epsilon)
@@ -19,13 +19,13 @@ SPEED = FORCE / (4.0 * np.pi * VISCOSITY * EPSILON)  # of one blob: H1(0) = 1 / 
 TOML = """
 scenario = "scene"
 [options]
-plugins = ["weights.py", "gravity.py", "xyz.py", "adams_bashforth.py"]
+plugins = ["weights.py", "pull.py", "xyz.py", "adams_bashforth.py"]
 t_end = 0.3
 interval = 0.1
 formats = ["vtkhdf", "xyz"]
 integrator = { name = "ab2", dt = 0.02 }
 fluid = { viscosity = 2.0 }
-gravity = { force = [0, 0, -3.0] }
+pull = { force = [0, 0, -3.0] }
 [[options.weights]]
 positions = [[0, 0, 0]]
 force = [3.0, 0, 0]
@@ -54,7 +54,7 @@ def test_a_body():
 
 
 def test_a_force():
-    sim = scene([gravity.Gravity((0.0, 0.0, -FORCE))]).run(0.5)
+    sim = scene([pull.Pull((0.0, 0.0, -FORCE))]).run(0.5)
     wanted = 0.5 * SPEED * np.array([[1, 0, -1]])
     np.testing.assert_allclose(sim.state.positions, wanted, atol=1e-12)
 
@@ -182,7 +182,7 @@ def test_all_of_them_from_toml(tmp_path, capsys):
     """By name, in a run that is stopped and goes on from its own files."""
     plugins = tmp_path / "mine"
     plugins.mkdir()
-    for module in (weights, gravity, xyz, adams_bashforth):
+    for module in (weights, pull, xyz, adams_bashforth):
         shutil.copy(module.__file__, plugins)
     (plugins / "scene.toml").write_text(TOML)
     run = ["run", str(plugins / "scene.toml"), "--output"]
@@ -299,7 +299,7 @@ def test_formats_and_columns_that_are_refused():
         ({"weights": [{"position": []}]}, "did you mean 'weights.positions'"),
         ({"weights": [{"positions": [[0, 0, 0]], "force": 1, "epsilon": 1}]}, r"weights\.0\.force"),
         ({"formats": ["xy"]}, r"formats: formats\[0\] must be one of 'vtkhdf', 'pvd', 'xyz'"),
-        ({"gravity": {"mass": 1.0}}, r"gravity\.mass: no such option"),
+        ({"pull": {"mass": 1.0}}, r"pull\.0\.mass: no such option"),
     ],
 )
 def test_mistakes_in_toml_are_named(options, message):

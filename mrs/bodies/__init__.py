@@ -1,10 +1,11 @@
 """Bodies: points in the fluid that put loads on it, and move with it."""
 
+from mrs.bodies.along import Taper, TravellingWave
 from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.noise import Noise
 from mrs.bodies.rigid import Prescribed, Rigid
-from mrs.bodies.rods import Rods, TravellingWave
+from mrs.bodies.rods import Rods
 from mrs.bodies.shapes import Moving, Turning
 from mrs.bodies.surfaces import Surface
 from mrs.bodies.swimmers import Swimmers, lattice_suspension, random_suspension
@@ -27,6 +28,7 @@ __all__ = [
     "Rods",
     "Surface",
     "Swimmers",
+    "Taper",
     "Tracers",
     "TravellingWave",
     "Turning",

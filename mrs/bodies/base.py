@@ -107,6 +107,10 @@ class Body:
         pieces = self.pieces()
         return pieces, np.zeros(len(pieces)), np.full(len(pieces), np.inf)
 
+    def lengths_of_points(self) -> np.ndarray | None:
+        """Return the length that each point stands for, (p,); None where there are no lengths."""
+        return None
+
     def energy(self, time: float, state: State) -> float:
         """Return the elastic energy."""
         return 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -10,6 +10,8 @@ import scipy
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
+
+Grading = Literal["uniform", "cosine"] | Callable[[np.ndarray], Any]
 
 
 class Centerline(NamedTuple):
@@ -37,13 +39,28 @@ class Centerline(NamedTuple):
 
 @check.spelling
 def straight(
-    length: float, nodes: int, *, origin: ArrayLike = (0, 0, 0), direction: ArrayLike = (0, 0, 1)
+    length: float,
+    nodes: int,
+    *,
+    grading: Grading = "uniform",
+    origin: ArrayLike = (0, 0, 0),
+    direction: ArrayLike = (0, 0, 1),
 ) -> Centerline:
-    """Return a straight rod of `nodes` nodes from `origin` along `direction`."""
+    """Return a straight rod of `nodes` nodes from `origin` along `direction`.
+
+    Parameters
+    ----------
+    length : float
+    nodes : int
+    grading : {"uniform", "cosine"} or callable, optional
+        Where the nodes are. "cosine" has short segments at both ends, where loads change fastest:
+        the last one is about ``pi^2 / (4 nodes)`` of the mean. A function takes equally spaced
+        numbers from 0 to 1, (nodes,), and returns shares of the length that rise from 0 to 1.
+    origin, direction : (3,) array_like, optional
+    """
     check.positive("length", length)
-    check.integer("nodes", nodes, 2)
     check.vector("origin", origin)
-    line = np.linspace(0.0, length, nodes)[:, None] * np.array([0.0, 0.0, 1.0])
+    line = length * _shares(nodes, grading)[:, None] * np.array([0.0, 0.0, 1.0])
     triads = np.tile(rotations.IDENTITY, (nodes, 1))
     return Centerline(line, triads).moved(origin, _turn_from_z(direction))
 
@@ -55,6 +72,7 @@ def helix(
     length: float,
     nodes: int,
     *,
+    grading: Grading = "uniform",
     handedness: Literal["right", "left"] = "right",
     phase: float = 0.0,
     origin: ArrayLike = (0, 0, 0),
@@ -67,7 +85,9 @@ def helix(
     radius, pitch, length : float
         Of the helix; `length` is along its axis.
     nodes : int
-        Equally spaced, ends included.
+        Ends included.
+    grading : {"uniform", "cosine"} or callable, optional
+        Where the nodes are, as for `straight`.
     handedness : {"right", "left"}, optional
     phase : float, optional
         Angle of the first node about the axis, radians.
@@ -79,11 +99,10 @@ def helix(
     check.positive("radius", radius)
     check.positive("pitch", pitch)
     check.positive("length", length)
-    check.integer("nodes", nodes, 2)
     check.one_of("handedness", handedness, ("right", "left"))
     check.number("phase", phase, -np.inf, np.inf)
     check.vector("origin", origin)
-    z = np.linspace(0.0, length, nodes)
+    z = length * _shares(nodes, grading)
     k = (2.0 if handedness == "right" else -2.0) * np.pi / pitch
     angle = k * z + phase
     points = np.column_stack([radius * np.cos(angle), radius * np.sin(angle), z])
@@ -120,7 +139,7 @@ def ring(
 
 @check.spelling
 def at_rest(
-    strain: ArrayLike, spacing: float, nodes: int, *, origin: ArrayLike = (0, 0, 0)
+    strain: ArrayLike, spacing: ArrayLike, nodes: int, *, origin: ArrayLike = (0, 0, 0)
 ) -> Centerline:
     """Return the shape that a rod of constant intrinsic strain takes: exact discrete equilibrium.
 
@@ -131,24 +150,26 @@ def at_rest(
     ----------
     strain : (3,) array_like
         Curvatures about D1, D2 and twist about D3, radians per length.
-    spacing : float
-        Length of a segment.
+    spacing : float or (nodes - 1,) array_like
+        Length of each segment.
     nodes : int
     origin : (3,) array_like, optional
         Of the first node, whose triad is along the axes.
     """
     strain = check.vector("strain", strain)
-    check.positive("spacing", spacing)
     check.integer("nodes", nodes, 2)
+    lengths = check.broadcast("spacing", spacing, (nodes - 1,), 0.0)
     check.vector("origin", origin)
     rate = np.linalg.norm(strain)
-    if 0.5 * rate * spacing >= 1.0:
-        raise ValueError(f"spacing: {spacing} is too long; at most {2 / rate:.3g} for this strain")
-    angle = 2.0 * np.arcsin(0.5 * rate * spacing)
+    longest = lengths.max()
+    if 0.5 * rate * longest >= 1.0:
+        raise ValueError(f"spacing: {longest} is too long; at most {2 / rate:.3g} for this strain")
+    turns = 2.0 * np.arcsin(0.5 * rate * lengths)
+    ends = np.concatenate([[0.0], np.cumsum(turns)])
     about = strain / rate if rate > 0.0 else strain
-    triads = rotations.exponential(angle * np.arange(nodes)[:, None] * about)
-    middle = rotations.exponential(angle * (np.arange(nodes - 1)[:, None] + 0.5) * about)
-    steps = spacing * rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
+    triads = rotations.exponential(ends[:, None] * about)
+    middle = rotations.exponential((ends[:-1] + 0.5 * turns)[:, None] * about)
+    steps = lengths[:, None] * rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
     points = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
     return Centerline(points, triads).moved(origin)
 
@@ -202,3 +223,17 @@ def _turn_from_z(direction: ArrayLike) -> scipy.spatial.transform.Rotation:
     return scipy.spatial.transform.Rotation.from_quat(
         rotations.between(np.array([0.0, 0.0, 1.0]), unit)
     )
+
+
+def _shares(nodes: int, grading: Grading) -> np.ndarray:
+    """Return the places of nodes as shares of a length, (nodes,)."""
+    check.integer("nodes", nodes, 2)
+    even = np.linspace(0.0, 1.0, nodes)
+    if not callable(grading):
+        check.one_of("grading", grading, ("uniform", "cosine"))
+        return even if grading == "uniform" else 0.5 - 0.5 * np.cos(np.pi * even)
+    shares = check.shaped("grading", grading(even), (nodes,))
+    ends = np.abs(shares[[0, -1]] - [0.0, 1.0]).max()
+    if ends > 1e-12 or (np.diff(shares) <= 0.0).any():
+        raise ValueError(f"grading must give numbers that rise from 0 to 1, got {shares}")
+    return shares

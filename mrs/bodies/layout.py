@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -9,9 +10,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrs import check
 from mrs.bodies.base import Body
 from mrs.rigid_motion import GivenMotion, Mounted, joined
 from mrs.time.state import State
+
+_MANY = 16  # blob sizes
 
 
 class Part(NamedTuple):
@@ -107,6 +111,24 @@ class Layout:
         """Return where a body lives."""
         return next(part for part in self.parts if part.body is body)
 
+    @property
+    def forced_names(self) -> list[str]:
+        """Names of the bodies that put forces on the fluid."""
+        return [body.name for body in self.bodies if body.has_force]
+
+    def forced_part(self, role: str, name: str) -> tuple[Part, slice]:
+        """Return the body of a name, and which of the points `forced` are its own.
+
+        Raises
+        ------
+        ValueError
+            If it is no body that puts forces on the fluid; `role` is the argument that names it.
+        """
+        check.one_of(role, name, self.forced_names)
+        part = next(part for part in self.parts if part.body.name == name)
+        first = int(np.searchsorted(self.forced, part.points.start))
+        return part, slice(first, first + part.points.stop - part.points.start)
+
     def point_count(self, body: Body) -> int:
         """Return how many points a body has."""
         points = self.part(body).points
@@ -119,8 +141,21 @@ class Layout:
         ------
         ValueError
             If neither the fluid nor the body sets one.
+
+        Warns
+        -----
+        UserWarning
+            If there are more than sixteen sizes, since each costs a sum.
         """
-        return np.concatenate([self._epsilons(body, default) for body in self.bodies])
+        epsilons = np.concatenate([self._epsilons(body, default) for body in self.bodies])
+        sizes = len(np.unique(epsilons[self.has_force]))
+        if sizes > _MANY:
+            warnings.warn(
+                f"epsilon has {sizes} different values in this scene, and each costs a sum of its "
+                "own; a few are faster, as those of mrs.Taper(..., steps=8) along a rod",
+                stacklevel=4,
+            )
+        return epsilons
 
     def _epsilons(self, body: Body, default: float | None) -> np.ndarray:
         if not body.has_force:
@@ -238,6 +273,11 @@ class Layout:
             positions[part.positions][free] = moved.positions[free]
             quaternions[part.quaternions][turning] = moved.quaternions[turning]
         return State(positions, quaternions)
+
+    @cached_property
+    def initial_points(self) -> np.ndarray:
+        """Points of all bodies at time zero, (N, 3)."""
+        return self.points(0.0, self.initial)
 
     @cached_property
     def contact_labels(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

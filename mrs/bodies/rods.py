@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
+from mrs.bodies.along import Along, FunctionOfS
 from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.geometry import Centerline
@@ -17,32 +17,6 @@ from mrs.rigid_motion import Mounted
 from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
-
-
-@check.spelling
-@dataclass(frozen=True)
-class TravellingWave:
-    """A wave of preferred curvature, ``amplitude sin(2 pi (s / wavelength - t / period))``.
-
-    `amplitude` holds the components about D1, D2 and D3, radians per length. With a negative
-    `period` the wave runs towards s = 0.
-    """
-
-    __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
-
-    amplitude: Sequence[float]
-    wavelength: float
-    period: float
-
-    def __post_init__(self) -> None:
-        check.vector("amplitude", self.amplitude)
-        check.positive("wavelength", self.wavelength)
-        if check.number("period", self.period, -np.inf, np.inf) == 0.0:
-            raise ValueError("period must not be zero")
-
-    def __call__(self, s: np.ndarray, t: np.ndarray) -> np.ndarray:
-        phase = 2.0 * np.pi * (s / self.wavelength - t / self.period)
-        return np.sin(phase)[:, None] * np.asarray(self.amplitude, float)
 
 
 class Elasticity(NamedTuple):
@@ -68,16 +42,19 @@ class Rods(Body):
     ----------
     centerlines : Centerline or sequence of Centerline
         Shapes at time zero (`mrs.geometry`). A segment's rest length is its present one, along D3.
-    bending : float or array_like
-        Moduli a1, a2 (force times length squared). A number is both moduli of all rods; (rods,)
-        has one number for both moduli of each rod; rows [[a1, a2]], (1, 2) or (rods, 2), have a
-        number for each modulus. Shape (2,) is refused, since it could be meant either way.
-    twisting : float or array_like
-        Modulus a3: a number for all rods, or (rods,).
-    shearing : float or array_like
+    bending : float, array_like or callable
+        Moduli a1, a2 (force times length squared). A number is both moduli everywhere; (rods,) and
+        (segments,) have one number for both moduli of each rod, or of each segment of all rods;
+        rows [a1, a2], (1, 2), (rods, 2) or (segments, 2), have a number for each modulus. Shape
+        (2,) is refused, since it could be meant either way. A function of s, for example a
+        `Taper`, is given the arclengths of the segments' middles from the first node of their rod,
+        (segments,), and returns a number, (segments,) or (segments, 2).
+    twisting : float, array_like or callable
+        Modulus a3: a number, (rods,), (segments,), or a function of s that returns (segments,).
+    shearing : float, array_like or callable
         Moduli b1, b2 (force), as `bending`.
-    stretching : float or array_like
-        Modulus b3: a number for all rods, or (rods,).
+    stretching : float, array_like or callable
+        Modulus b3, as `twisting`.
     intrinsic_curvature : "initial", array_like or callable, optional
         The strain (Omega_1, Omega_2, Omega_3) at which the rods are free of moments: two
         curvatures and a twist, radians per length. "initial" is the centrelines' own; else (3,)
@@ -91,11 +68,13 @@ class Rods(Body):
     base : {"free", "clamped"}, Drive or Mount, optional
         Motion of the first node and its triad. A base that is held or driven hands its load to its
         holder, not to the fluid; with a `Mount` the holder is another body.
-    epsilon : float, optional
-        Blob size; the fluid's by default.
-    radius : float or array_like, optional
-        Of the rods in pictures, a number or (rods,); epsilon / sqrt(e) by default, which gives a
-        rod of that radius its drag.
+    epsilon : float, array_like or callable, optional
+        Blob size; the fluid's by default. A number, (rods,), one for each node of all rods,
+        (nodes,), or a function of s that returns (nodes,). Each different size costs a sum: a
+        `Taper` with `steps` has few.
+    radius : float, array_like or callable, optional
+        Of the rods in pictures, as `epsilon`; epsilon / sqrt(e) by default, which gives a rod of
+        that radius its drag.
     name : str, optional
         Of the output file.
 
@@ -121,16 +100,16 @@ class Rods(Body):
         self,
         centerlines: Centerline | Sequence[Centerline],
         *,
-        bending: ArrayLike,
-        twisting: ArrayLike,
-        shearing: ArrayLike,
-        stretching: ArrayLike,
+        bending: ArrayLike | FunctionOfS,
+        twisting: ArrayLike | FunctionOfS,
+        shearing: ArrayLike | FunctionOfS,
+        stretching: ArrayLike | FunctionOfS,
         intrinsic_curvature: ArrayLike | Strain = "initial",
         beat: Strain | None = None,
         delay: ArrayLike = 0.0,
         base: Literal["free", "clamped"] | Drive | Mount = "free",
-        epsilon: float | None = None,
-        radius: ArrayLike | None = None,
+        epsilon: ArrayLike | FunctionOfS | None = None,
+        radius: ArrayLike | FunctionOfS | None = None,
         name: str = "rods",
     ) -> None:
         self.made_with = {k: v for k, v in locals().items() if k != "self"}
@@ -140,8 +119,8 @@ class Rods(Body):
                 f"centerlines must be one or more mrs.geometry.Centerline, got {centerlines!r}"
             )
         self.name = check.file_name("name", name)
-        nodes, triads = zip(*(_checked(rod, i) for i, rod in enumerate(rods)), strict=True)
-        self.positions = np.concatenate(nodes)
+        places, triads = zip(*(_checked(rod, i) for i, rod in enumerate(rods)), strict=True)
+        self.positions = np.concatenate(places)
         self.quaternions = rotations.normalize(np.concatenate(triads))
         self.base = (
             base
@@ -149,25 +128,24 @@ class Rods(Body):
             else check.one_of("base", base, ("free", "clamped"))
         )
         self._connect(rods)
-        count = len(rods)
-        self._moduli = self._by_segment(
-            _transverse("bending", bending, count),
-            check.broadcast("twisting", twisting, (count,), 0.0),
-        )
-        self._stiffness = self._by_segment(
-            _transverse("shearing", shearing, count),
-            check.broadcast("stretching", stretching, (count,), 0.0),
-        )
         self._measure()
-        self._delay = check.broadcast("delay", delay, (count,))
+        segments = Along("segment", self.rod_of_segment, self._middles)
+        self._moduli = np.column_stack(
+            [segments.pairs("bending", bending), segments.numbers("twisting", twisting)]
+        )
+        self._stiffness = np.column_stack(
+            [segments.pairs("shearing", shearing), segments.numbers("stretching", stretching)]
+        )
+        self._delay = check.broadcast("delay", delay, (len(rods),))
         self._set_intrinsic(intrinsic_curvature, beat)
         if isinstance(self.base, Drive):
             for what in ("velocity", "angular_velocity"):
                 self._at_bases(what, 0.0)
         self.mounted(0.0, State(self.positions, self.quaternions))  # refuses bad numbers
         self._require_own_time(delay)
-        self.epsilon = None if epsilon is None else check.positive("epsilon", epsilon)
-        self.radius = None if radius is None else check.broadcast("radius", radius, (count,), 0.0)
+        nodes = Along("node", self.rod_of_node, self.arclength)
+        self.epsilon = None if epsilon is None else nodes.numbers("epsilon", epsilon)
+        self.radius = None if radius is None else nodes.numbers("radius", radius)
 
     def _connect(self, rods: Sequence[Centerline]) -> None:
         """Number nodes and segments."""
@@ -187,9 +165,6 @@ class Rods(Body):
         self._right[wraps] = self.first[self.closed]
         self.rod_of_segment = self.rod_of_node[self._left]
 
-    def _by_segment(self, transverse: np.ndarray, axial: np.ndarray) -> np.ndarray:
-        return np.column_stack([transverse, axial])[self.rod_of_segment]
-
     def _measure(self) -> None:
         """Take rest lengths and arclengths from the shapes at time zero."""
         between, middle, steps = self._halfway(State(self.positions, self.quaternions))
@@ -207,6 +182,7 @@ class Rods(Body):
         ends[self._left] = self.spacing
         total = np.cumsum(ends) - ends
         self.arclength = total - total[self.first][self.rod_of_node]
+        self._middles = self.arclength[self._left] + 0.5 * self.spacing
         self.lengths = np.bincount(self.rod_of_segment, self.spacing)
         self.length_scale = float(self.lengths.max())
 
@@ -226,7 +202,7 @@ class Rods(Body):
         """Return the strain without moments, (segments, 3)."""
         if self._beat is None and not callable(self._intrinsic):
             return self._intrinsic
-        s = self.arclength[self._left] + 0.5 * self.spacing
+        s = self._middles
         t = (time - self._delay)[self.rod_of_segment]
 
         def where(row: int) -> str:
@@ -306,6 +282,11 @@ class Rods(Body):
         torque[self._right] += couple - moment
         return force, torque
 
+    def lengths_of_points(self) -> np.ndarray:
+        """Return half the lengths of the segments that meet at each node, (nodes,)."""
+        ends = np.concatenate([self._left, self._right])
+        return np.bincount(ends, np.tile(0.5 * self.spacing, 2))
+
     def energy(self, time: float, state: State) -> float:
         """Return the elastic energy of all rods."""
         bending, stretching = self._energies(self.elasticity(time, state))
@@ -340,7 +321,7 @@ class Rods(Body):
 
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each node, (nodes,)."""
-        return np.full(len(self.positions), default if self.epsilon is None else self.epsilon)
+        return np.full(len(self.positions), default) if self.epsilon is None else self.epsilon
 
     def pieces(self) -> np.ndarray:
         """Return the rod of each node, (nodes,)."""
@@ -359,7 +340,7 @@ class Rods(Body):
 
     def constant_fields(self, epsilons: np.ndarray) -> tuple[Arrays, Arrays]:
         """Return radius and arclength at nodes, the rod's number at cells."""
-        radius = epsilons / np.sqrt(np.e) if self.radius is None else self.radius[self.rod_of_node]
+        radius = epsilons / np.sqrt(np.e) if self.radius is None else self.radius
         at_points = {"arclength": self.arclength, "radius": radius}
         return at_points, {"rod_id": np.arange(len(self.first))}
 
@@ -390,22 +371,3 @@ def _checked(rod: Centerline, number: int) -> tuple[np.ndarray, np.ndarray]:
     if not quaternions.any(axis=1).all():
         raise ValueError(f"{name}.quaternions must not be zero")
     return nodes, quaternions
-
-
-def _transverse(name: str, value: Any, count: int) -> np.ndarray:
-    """Return moduli about, or along, D1 and D2 from one of the shapes that mean one thing."""
-    array = check.real(name, value)
-    if array.shape == (2,):
-        a, b = array.tolist()
-        raise ValueError(
-            f"{name}: [{a}, {b}] could be meant for two rods or for two directions; write "
-            f"[[{a}, {b}]] for D1 and D2 of every rod, or [[{a}], [{b}]] for one number a rod"
-        )
-    columns = array[:, None] if array.ndim == 1 else array
-    if columns.shape not in ((), (1, 1), (1, 2), (count, 1), (count, 2)):
-        raise ValueError(
-            f"{name} must be a number, or have shape ({count},) for one number a rod, or (1, 2) or "
-            f"({count}, 2) for rows [D1, D2], got shape {array.shape}"
-        )
-    check.broadcast(name, array, array.shape, 0.0)
-    return np.array(np.broadcast_to(columns, (count, 2)), np.float64)

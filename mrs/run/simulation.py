@@ -50,7 +50,8 @@ class Simulation:
     bodies : sequence of Body
         `Rods`, `Swimmers`, `Tracers`, in any number; their names must differ.
     forces : sequence of Force, optional
-        On the points of all bodies that put forces on the fluid, for example `Steric`.
+        On the points of bodies that put forces on the fluid: `Steric`, `Gravity`, `Springs`,
+        `UserForce`.
     backend : str or Backend, optional
         How velocities are summed.
     integrator : str or Integrator, optional
@@ -151,7 +152,7 @@ class Simulation:
         return self.scene.evaluate(self.time, self.state)
 
     def energy(self) -> float:
-        """Return the elastic energy of all bodies."""
+        """Return the elastic energy of all bodies and of the springs between them."""
         return self.scene.energy(self.time, self.state)
 
     def body_state(self, body: Body) -> State:

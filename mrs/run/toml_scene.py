@@ -23,7 +23,7 @@ from typing import Annotated, Any, Literal, Union
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from mrs.bodies import (
     BODIES,
@@ -34,6 +34,7 @@ from mrs.bodies import (
     Rigid,
     Rods,
     Swimmers,
+    Taper,
     Tracers,
     TravellingWave,
     Turning,
@@ -107,6 +108,7 @@ Solid = _one_of(
     surfaces.read,
 )
 Vectors = list[tuple[float, float, float]]
+_ONE_OR_MORE = BeforeValidator(lambda value: [value] if isinstance(value, Mapping) else value)
 
 # Bodies whose options in TOML differ from the arguments of their class, and their making.
 _ROD_OPTIONS: Any = _call(
@@ -154,9 +156,8 @@ class _Scene(Scenario):
                 with _at(f"{kind}.{i}"):
                     bodies.append(_MAKERS.get(kind, BODIES[kind])(**options.arguments()))
         for kind in FORCES:
-            options = getattr(self, kind)
-            if options is not None:
-                with _at(kind):
+            for i, options in enumerate(getattr(self, kind)):
+                with _at(f"{kind}.{i}"):
                     forces.append(_force(kind, options))
         return Simulation(fluid, bodies, forces=forces, **common)
 
@@ -169,8 +170,9 @@ class _Scene(Scenario):
 def scene() -> type[Scenario]:
     """Return the scenario of any fluid with any bodies and forces that are registered.
 
-    Its options are `fluid`, a list of tables for each kind of body, and a table for each kind of
-    force, for example ``[[options.rods]]`` and ``[options.steric]``.
+    Its options are `fluid`, and a list of tables for each kind of body and of force, for example
+    ``[[options.rods]]`` and ``[[options.springs]]``. One force of a kind may be a table by itself,
+    ``[options.steric]``.
     """
     boundary = _named(BOUNDARIES) | None, None
     fluid: Any = _call(Fluid, background=Background | None, boundary=boundary)
@@ -182,7 +184,8 @@ def scene() -> type[Scenario]:
         fields[kind] = list[options], Field([], description=f"arguments of {body.__name__}")
     for kind, force in FORCES.items():
         model: Any = force if is_dataclass(force) else _call(force)
-        fields[kind] = model | None, Field(None, description=f"arguments of {force.__name__}")
+        field: Any = Field([], description=f"arguments of {force.__name__}")
+        fields[kind] = Annotated[list[model], _ONE_OR_MORE], field
     return create_model("Scene", __base__=_Scene, __module__=__name__, **fields)
 
 
@@ -211,6 +214,10 @@ def _fluid(options: Any) -> Fluid:
 def _rods(shape: Any, origins: Any = ((0.0, 0.0, 0.0),), **arguments: Any) -> Rods:
     with _at("shape"):
         centerline = getattr(geometry, shape.kind)(**shape.arguments())
+    for name, value in arguments.items():
+        if isinstance(value, Mapping):
+            with _at(name):
+                arguments[name] = Taper(**value)
     return Rods(geometry.array(centerline, origins), **arguments)
 
 

@@ -6,7 +6,7 @@ import mrs
 
 
 @mrs.FORCES.register
-class Gravity(mrs.Force):
+class Pull(mrs.Force):
     """A constant force.
 
     Parameters
@@ -15,7 +15,7 @@ class Gravity(mrs.Force):
         On the fluid, of each point.
     """
 
-    kind = "gravity"
+    kind = "pull"
 
     def __init__(self, force: tuple[float, float, float]) -> None:
         self.force = np.array(force, float)
