@@ -160,7 +160,9 @@ ALLOWED = {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",
         "mrs.rotations", "mrs.time.state",
     },
-    "mrs.forces": {"mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry"},
+    "mrs.forces": {
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry", "mrs.time.state",
+    },
     "mrs.fluid": {"mrs.check", "mrs.fluid", "mrs.registry", "treecode"},  # its boundaries
     "mrs.fluid.mobility": {"mrs.check", "mrs.fluid", "treecode"},  # the one caller of treecode
     "mrs.fluid.blocks": {"mrs.rigid_motion", "mrs.rotations"},
