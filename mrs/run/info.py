@@ -89,4 +89,6 @@ def _checkpoint_info(path: Path) -> tuple[dict[str, Any] | None, Any]:
         return None, []
     except ValueError as error:
         return {"error": str(error)}, []
-    return {"time": values["time"], "steps": values["integrator"]["steps"]}, values["backends"]
+    evaluation = values["evaluation"]
+    sums = evaluation["sums"] + evaluation.get("resistance", {}).get("sums", [])
+    return {"time": values["time"], "steps": values["integrator"]["steps"]}, sums
