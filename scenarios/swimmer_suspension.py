@@ -42,8 +42,9 @@ class SwimmerSuspension(mrs.Scenario):
     stroke: Literal["pusher", "puller"] = Field("pusher", description="flagellum behind or before")
     force: float = Field(1.0, gt=0, description="thrust")
     epsilon: float = Field(0.1, gt=0, description="blob size of both particles")
+    tumble_rate: float = Field(0.0, ge=0, description="tumbles of a swimmer per time")
     repulsion: float = Field(4.0, ge=0, description="steric force at contact; 0 for none")
-    seed: int = Field(0, ge=0, description="of the random start")
+    seed: int = Field(0, ge=0, description="of the random start, and of tumbles")
     t_end: float = Field(10.0, gt=0, description="simulated time")
     interval: float = Field(0.1, gt=0, description="simulated time between frames")
 
@@ -70,7 +71,13 @@ class SwimmerSuspension(mrs.Scenario):
             periodic=self.periodic,
         )
         swimmers = mrs.Swimmers(
-            positions, orientations, length=1.0, force=self.force, stroke=self.stroke
+            positions,
+            orientations,
+            length=1.0,
+            force=self.force,
+            stroke=self.stroke,
+            tumble_rate=self.tumble_rate,
+            seed=self.seed,
         )
         drawn = np.random.default_rng((self.seed, 1)).random((self.tracers, 3))
         bodies = [swimmers, mrs.Tracers(self.size * (drawn - 0.5))]

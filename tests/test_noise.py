@@ -270,12 +270,12 @@ def test_killed_and_resumed_run_is_bitwise_the_same(tmp_path, scene):
     arguments = ["run", scene, "--output", killed]
     assert cli.main([*map(str, arguments), "--max-walltime", "0"]) == 0
     steps, moments = [state_of(killed)[1]["integrator"]["steps"]], random.Random(0)
-    for _ in range(3):
+    for _ in range(2):
         process = begin("resume", killed)
         kill_on_its_way(process, killed / "checkpoint.h5", moments.uniform(0.0, 0.02))
         steps.append(state_of(killed)[1]["integrator"]["steps"])
     assert cli.main(["resume", str(killed)]) == 0
-    assert len(set(steps)) == 4, steps
+    assert len(set(steps)) == 3, steps
     assert max(steps) < state_of(whole)[1]["integrator"]["steps"]
     assert_equal_runs(whole, killed)
 
