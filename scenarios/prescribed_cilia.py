@@ -56,7 +56,9 @@ class PrescribedCilia(mrs.Scenario):
         )
         bases = mrs.geometry.grid((self.columns, self.rows), self.distance)
         ahead = bases[:, 0] / self.metachronal_wavelength
-        bodies: list[mrs.Body] = [mrs.Prescribed(beat, positions=bases, delay=-ahead, name="cilia")]
+        bodies: list[mrs.Body] = [
+            mrs.Prescribed(beat, positions=bases, delay=-ahead, radius=self.thickness, name="cilia")
+        ]
         if self.tracers:
             apart = self.distance * max(self.rows, self.columns) / self.tracers
             above = mrs.geometry.grid((self.tracers, self.tracers), apart) + np.array([0, 0, 1.25])
