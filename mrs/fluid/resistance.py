@@ -176,7 +176,8 @@ class Resistance:
         residual, size = residual_of(forces, motion)
         enough = self._tolerance * size
         if np.linalg.norm(residual) > enough:
-            operator = scipy.sparse.linalg.LinearOperator((count, count), applied)
+            # Without a dtype scipy would find it by one more sum.
+            operator = scipy.sparse.linalg.LinearOperator((count, count), applied, dtype=float)
             solved, failed = scipy.sparse.linalg.gmres(
                 operator, residual.ravel(), rtol=0.0, atol=enough, restart=_MOST, maxiter=1
             )
