@@ -3,6 +3,7 @@
 from mrs import observables, rotations
 from mrs.bodies import (
     BODIES,
+    Beat,
     Body,
     Drive,
     Mount,
@@ -53,6 +54,7 @@ __all__ = [
     "INTEGRATORS",
     "OBSERVABLES",
     "Backend",
+    "Beat",
     "Body",
     "BodyFile",
     "Centerline",

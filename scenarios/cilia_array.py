@@ -11,6 +11,7 @@ is not positive definite.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar
 
@@ -79,20 +80,9 @@ class CiliaArray(mrs.Scenario):
         return self._flux(sim) if self.wall else self._speed_of_tips(sim)
 
     def _flux(self, sim: mrs.Simulation) -> mrs.Check:
-        """Return the flux through a whole plane before the carpet, beside that of the loads.
-
-        In polar coordinates with r = height t / (1 - t): far away the velocity falls off as r^-3.
-        """
-        wall = sim.fluid.boundary
-        assert isinstance(wall, mrs.Wall)
-        nodes, weights = np.polynomial.legendre.leggauss(24)
-        t, angle = 0.5 + 0.5 * nodes[:, None], 0.5 * np.pi * (1.0 + nodes)
-        r = self.height * t / (1.0 - t)
-        area = np.outer(0.5 * weights, 0.5 * np.pi * weights) * r * self.height / (1.0 - t) ** 2
+        """Return the flux through a whole plane before the carpet, beside that of the loads."""
         x = sim.now.points[:, 0].max() + 0.5 * self.height
-        yz = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
-        velocity = sim.velocity(wall.point + np.insert(yz, 0, x, axis=1))
-        through = float(area.ravel() @ velocity[:, 0])
+        through = flux_through_plane(sim.velocity, sim.fluid.boundary, x, self.height)
         expected = mrs.observables.PumpedFlux()(sim)
         return mrs.Check("flux along the wall", through, expected, 0.01)
 
@@ -114,3 +104,19 @@ class CiliaArray(mrs.Scenario):
             float(np.linalg.norm(expected)),
             0.01,
         )
+
+
+def flux_through_plane(
+    velocity: Callable[[np.ndarray], np.ndarray], wall: Any, x: float, height: float
+) -> float:
+    """Return the flux along x through a whole plane over a wall, by the velocities there.
+
+    In polar coordinates with r = height t / (1 - t): far away the velocity falls off as r^-3.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    t, angle = 0.5 + 0.5 * nodes[:, None], 0.5 * np.pi * (1.0 + nodes)
+    r = height * t / (1.0 - t)
+    area = np.outer(0.5 * weights, 0.5 * np.pi * weights) * r * height / (1.0 - t) ** 2
+    yz = np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1).reshape(-1, 2)
+    through = velocity(wall.point + np.insert(yz, 0, x, axis=1))
+    return float(area.ravel() @ through[:, 0])

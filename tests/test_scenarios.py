@@ -119,6 +119,8 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("cilia_array", {"t_end": 0.02, "rows": 1}),
         ("cilia_array", {"t_end": 0.02, "rows": 5, "metachronal_wavelength": 6.0}),
         ("cilia_array", {"t_end": 0.02, "wall": False}),
+        ("prescribed_cilia", {"t_end": 0.02, "rows": 1, "columns": 1, "tracers": 0}),
+        ("prescribed_cilia", {"t_end": 0.02, "metachronal_wavelength": 8.0}),
     ],
 )
 def test_other_options_give_their_numbers(name, options):

@@ -10,6 +10,7 @@ from benchmarks.experiments import (
     epsilon,
     growth,
     memory,
+    prescribed,
     ranks,
     rods,
     stepping,
@@ -22,6 +23,6 @@ ALL = {
     module.__name__.rpartition(".")[2]: module
     for module in (
         curve, growth, rods, taylor, uneven, epsilon, threads, ranks, memory, stepping, carpet,
-        boundaries,
+        boundaries, prescribed,
     )
 }  # fmt: skip

@@ -2,6 +2,7 @@
 
 from mrs.bodies.along import Taper, TravellingWave
 from mrs.bodies.base import Body
+from mrs.bodies.beats import Beat
 from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.noise import Noise
 from mrs.bodies.rigid import Prescribed, Rigid
@@ -18,6 +19,7 @@ for _kind in (Rods, Rigid, Prescribed, Swimmers, Tracers):
 
 __all__ = [
     "BODIES",
+    "Beat",
     "Body",
     "Drive",
     "Mount",

@@ -207,7 +207,6 @@ class Rigid(Body):
         return {"radius": radius, "body_id": self._frame}, {}
 
 
-@check.spelling
 class Prescribed(Rigid):
     """Bodies whose motion is prescribed: cilia with a given beat, a sheet with a given wave.
 

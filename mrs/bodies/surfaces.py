@@ -167,13 +167,11 @@ def along(centerline: geometry.Centerline, thickness: float, *, spacing: float =
     spacing : float, optional
         Between points, in blob sizes.
     """
-    epsilon = np.sqrt(np.e) * check.positive("thickness", thickness)
-    check.positive("spacing", spacing)
     nodes = check.points("centerline.nodes", centerline.nodes)
     if centerline.closed:
         nodes = np.concatenate([nodes, nodes[:1]])
     arclength = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
-    count = max(1, round(arclength[-1] / (spacing * epsilon)))
+    count, epsilon = slender(arclength[-1], thickness, spacing)
     middles = (np.arange(count) + 0.5) / count * arclength[-1]
     curve = scipy.interpolate.make_interp_spline(
         arclength,
@@ -184,7 +182,21 @@ def along(centerline: geometry.Centerline, thickness: float, *, spacing: float =
     line = np.arange(count)
     if centerline.closed:
         line = np.append(line, 0)
-    return Surface(curve(middles), float(epsilon), (line,))
+    return Surface(curve(middles), epsilon, (line,))
+
+
+def slender(length: float, thickness: float, spacing: float) -> tuple[int, float]:
+    """Return how many points a thin body has, and the blob size that gives it its drag.
+
+    Parameters
+    ----------
+    length, thickness : float
+        Of its centreline, and its radius.
+    spacing : float
+        Between points, in blob sizes.
+    """
+    epsilon = float(np.sqrt(np.e)) * check.positive("thickness", thickness)
+    return max(1, round(length / (check.positive("spacing", spacing) * epsilon))), epsilon
 
 
 @check.spelling

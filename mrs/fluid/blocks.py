@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -16,6 +17,21 @@ _SINGULAR = 1e-10  # resistance to a turn, against the others, that counts as no
 
 class IllConditionedError(ValueError):
     """The mobility of some points is not positive definite, but for rounding."""
+
+
+class Batch(NamedTuple):
+    """Patches of one size, and as many with the points of each.
+
+    Attributes
+    ----------
+    inverses : (b, 3 p, 3 p) ndarray
+        Of mobilities.
+    rows : (b, c, p) int ndarray
+        Of the points of c patches with each mobility.
+    """
+
+    inverses: np.ndarray
+    rows: np.ndarray
 
 
 class Blocks:
@@ -48,31 +64,43 @@ class Blocks:
         for rows in _patches(local, frame):
             key = local[rows].tobytes() + epsilons[rows].tobytes()
             alike.setdefault(key, []).append(rows)
-        self._groups = [
-            (_inverse(viscosity, epsilons[group[0]], local[group[0]]), np.array(group))
-            for group in alike.values()
+        batches: dict[tuple[int, int], list[list[np.ndarray]]] = {}
+        for group in alike.values():
+            batches.setdefault((len(group), len(group[0])), []).append(group)
+        self._batches = [
+            Batch(
+                np.stack([_inverse(viscosity, epsilons[rows], local[rows]) for rows, *_ in groups]),
+                np.array(groups),
+            )
+            for groups in batches.values()
         ]
 
     def place(self, given: GivenMotion) -> PlacedBlocks:
         """Return the patches where frames have brought them."""
-        return PlacedBlocks(self._groups, given)
+        return PlacedBlocks(self._batches, given)
 
 
 class PlacedBlocks:
     """Patches in the axes of space, with the free frames that carry them."""
 
-    def __init__(self, groups: list[tuple[np.ndarray, np.ndarray]], given: GivenMotion) -> None:
-        self._groups, self._frame = groups, given.frame
+    def __init__(self, batches: list[Batch], given: GivenMotion) -> None:
+        self._batches, self._frame = batches, given.frame
         self._turn = given.quaternion[given.frame]
         self._arms, self._count = given.arms, len(given.free)
+        self._mobility = np.zeros((self._count, 6, 6))
+        self._any_free = bool(given.free.any())
+        if self._any_free:
+            self._mobility[given.free] = self._mobilities()[given.free]
+
+    def _mobilities(self) -> np.ndarray:
+        """Return the mobility of each frame, (k, 6, 6), by the patches alone."""
         length = np.zeros(self._count)
-        np.maximum.at(length, given.frame, np.linalg.norm(self._arms, axis=1))
+        np.maximum.at(length, self._frame, np.linalg.norm(self._arms, axis=1))
         scale = np.ones((self._count, 6))
         scale[:, 3:] /= np.where(length > 0.0, length, 1.0)[:, None]
         scaled = self._resistances() * scale[:, :, None] * scale[:, None, :]
         inverse = np.linalg.pinv(scaled, rcond=_SINGULAR, hermitian=True)
-        self._mobility = inverse * scale[:, :, None] * scale[:, None, :]
-        self._mobility[~given.free] = 0.0
+        return inverse * scale[:, :, None] * scale[:, None, :]
 
     def _resistances(self) -> np.ndarray:
         """Return the resistance matrix of each frame, (k, 6, 6), by the patches alone."""
@@ -87,9 +115,9 @@ class PlacedBlocks:
         """Return the forces that give velocities, (n, 3), to each patch alone."""
         inside = rotations.rotate(rotations.conjugate(self._turn), velocities)
         forces = np.empty_like(inside)
-        for inverse, rows in self._groups:
-            columns = inside[rows].reshape(len(rows), -1).T
-            forces[rows] = (inverse @ columns).T.reshape(*rows.shape, 3)
+        for inverses, rows in self._batches:
+            columns = inside[rows].reshape(*rows.shape[:2], -1).swapaxes(1, 2)
+            forces[rows] = (inverses @ columns).swapaxes(1, 2).reshape(*rows.shape, 3)
         return rotations.rotate(self._turn, forces)
 
     def net_loads(self, forces: np.ndarray) -> np.ndarray:
@@ -108,6 +136,8 @@ class PlacedBlocks:
         loads : (k, 6) ndarray
         """
         forces = self._forces(velocities)
+        if not self._any_free:
+            return forces, np.zeros_like(loads)
         lacking = loads - self.net_loads(forces)
         motion = np.einsum("kij,kj->ki", self._mobility, lacking)
         forces = forces + self._forces(carried(motion, self._arms, self._frame))

@@ -142,7 +142,8 @@ class Resistance:
             try:
                 self._blocks = Blocks(*arguments)
             except IllConditionedError:
-                raise ResistanceError(self._advice("not be found", self.memory.local)) from None
+                points = given.centre[given.frame] + given.arms
+                raise ResistanceError(self._advice("not be found", points)) from None
         return self._blocks.place(given)
 
     def _iterate(
@@ -175,28 +176,27 @@ class Resistance:
         residual, size = residual_of(forces, motion)
         enough = self._tolerance * size
         if np.linalg.norm(residual) > enough:
-            operator = scipy.sparse.linalg.LinearOperator((count, count), applied)
+            # Without a dtype scipy would find it by one more sum.
+            operator = scipy.sparse.linalg.LinearOperator((count, count), applied, dtype=float)
             solved, failed = scipy.sparse.linalg.gmres(
                 operator, residual.ravel(), rtol=0.0, atol=enough, restart=_MOST, maxiter=1
             )
             if failed:
-                raise ResistanceError(
-                    self._advice(f"not be found in {_MOST} iterations", given.local)
-                )
+                raise ResistanceError(self._advice(f"not be found in {_MOST} iterations", points))
             step, turned = blocks.solve(solved.reshape(-1, 3), still)
             forces, motion = forces + step, motion + turned
         return forces, motion, iterations
 
-    def _advice(self, what: str, local: np.ndarray) -> str:
+    def _advice(self, what: str, points: np.ndarray) -> str:
         """Return a message with the spacing of the points, on which the condition depends."""
-        distances, _ = scipy.spatial.cKDTree(local).query(local, k=min(2, len(local)))
-        spacing = np.reshape(distances, (len(local), -1))[:, -1] / self._epsilons
+        distances, _ = scipy.spatial.cKDTree(points).query(points, k=min(2, len(points)))
+        spacing = np.reshape(distances, (len(points), -1))[:, -1] / self._epsilons
         row = int(np.argmin(spacing))
         return (
             f"forces that give {self._name(row)} and its like their velocities could {what}: that "
             f"point is {spacing[row]:.3g} epsilon from the next. Points less than a third of "
-            "epsilon apart have nearly the same flow: take fewer points or a smaller epsilon, or a "
-            f"smaller tolerance of the sums than {self._tolerance:g}"
+            "epsilon apart have nearly the same flow: keep bodies apart, take fewer points or a "
+            f"smaller epsilon, or a smaller tolerance of the sums than {self._tolerance:g}"
         )
 
     def history(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

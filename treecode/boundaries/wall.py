@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -104,7 +104,7 @@ class Wall(Boundary):
         heights[np.abs(heights) <= _ROUNDING * np.abs(away).sum(axis=1)] = 0.0
         return np.asarray(heights)
 
-    @property
+    @cached_property
     def frame(self) -> np.ndarray:
         """Three orthonormal rows, (3, 3), of which the last is the normal."""
         normal = np.array(self.normal)
