@@ -11,6 +11,7 @@ from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic
+from mrs.fluid.mobility import Boundary
 from mrs.forces import Force
 from mrs.profile import Profile
 from mrs.time.state import Arrays, State
@@ -190,7 +191,7 @@ class Scene:
 
     def _motion(self, time: float, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
         """Return the motion that the loads cause, and that of the background."""
-        motion = self._sum(points, loads)
+        motion = self._sum(time, points, loads)
         if self.fluid.background is not None:
             name = self.layout.point_name
             with self.profile.stage("background"):
@@ -199,12 +200,13 @@ class Scene:
                     motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, name)
         return motion
 
-    def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    def _sum(self, time: float, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        boundary = self.fluid.boundary_at(time)
         if not self.mobility.evaluations:
             with self.profile.stage("start"):
-                return self.mobility(points, loads)
+                return self.mobility(points, loads, boundary)
         with self.profile.stage("sums"):
-            motion = self.mobility(points, loads)
+            motion = self.mobility(points, loads, boundary)
             for info in self.mobility.infos():
                 self.profile.divide(info["seconds"], info["near_pairs"], info["far_pairs"])
         return motion
@@ -214,7 +216,7 @@ class Scene:
         """Let the sums meet their tolerance again."""
         now = self.evaluate(time, state)
         with self.profile.stage("error samples"):
-            if self.mobility.correct(now.points, now.loads):
+            if self.mobility.correct(*self._sources(now)):
                 self.forget()
 
     def energy(self, time: float, state: State) -> float:
@@ -226,7 +228,11 @@ class Scene:
         """Return the relative error of the sums in a state; see `Mobility.sampled_error`."""
         now = self.evaluate(time, state)
         with self.profile.stage("error samples"):
-            return self.mobility.sampled_error(now.points, now.loads)
+            return self.mobility.sampled_error(*self._sources(now))
+
+    def _sources(self, now: Evaluation) -> tuple[np.ndarray, np.ndarray, Boundary]:
+        """Return what the sums of an evaluation were made of: points, loads and the boundary."""
+        return now.points, now.loads, self.fluid.boundary_at(now.time)
 
     @joint
     def velocity(self, points: np.ndarray, now: Evaluation) -> np.ndarray:
@@ -237,9 +243,10 @@ class Scene:
         ValueError
             If a point is not in the fluid.
         """
-        self.fluid.boundary.require_inside("points", points)
+        boundary = self.fluid.boundary_at(now.time)
+        boundary.require_inside("points", points)
         with self.mobility.lock:
-            velocity = self.mobility.velocity(now.points, now.loads, points)
+            velocity = self.mobility.velocity(now.points, now.loads, points, boundary)
         if self.fluid.background is not None:
             velocity += self.fluid.flow("velocity", points, now.time)
         return velocity
@@ -257,7 +264,7 @@ class Scene:
         """Return the points of one body, (p, 3), and its arrays at points and at cells.
 
         In a periodic box points are in it, and the array "image" has the multiples of the lattice
-        vectors, (p, 3), that lead to where they are in the state.
+        vectors of that time, (p, 3), that lead to where they are in the state.
         """
         part = self.layout.part(body)
         at_points = {"velocity": now.motion[part.points, :3]}
@@ -269,7 +276,7 @@ class Scene:
             at_points["angular_velocity"] = now.motion[part.points, 3:]
         of_points, of_cells = body.fields(now.time, part.state(now.state), **at_points)
         points = now.points[part.points]
-        box = self.fluid.boundary
+        box = self.fluid.boundary_at(now.time)
         if isinstance(box, Periodic):
             image = self._images(body, points, box)
             points, of_points = points - image @ box.vectors, of_points | {"image": image}

@@ -85,9 +85,27 @@ def _task_of(case: Case, tol: float) -> tuple[float, Task]:
 METHOD = EwaldMethod()
 
 
-def exact_sum(kernel: PeriodicKernel, progress: bool = False) -> Ewald:
-    """Return a sum to rounding, which is the same for as many points anywhere."""
-    return Ewald(kernel, {"tol": EXACT}, progress, evenly=True)
+class ExactSum(Ewald):
+    """A sum to rounding, which is the same for as many points anywhere.
+
+    Parameters
+    ----------
+    kernel : PeriodicKernel
+    parameters : mapping
+        Of the method that stands for such sums, which have none.
+    progress : bool
+    """
+
+    def __init__(
+        self, kernel: PeriodicKernel, parameters: Mapping[str, Any], progress: bool
+    ) -> None:
+        super().__init__(kernel, {"tol": EXACT}, progress, evenly=True)
+        self._named = dict(parameters)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Those of the method."""
+        return self._named
 
 
 def exact_seconds(case: Case) -> float:
