@@ -12,8 +12,10 @@ from treecode.kernels.base import Kernel
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter
 from treecode.methods.ewald.cells import crowding
+from treecode.methods.ewald.slab import span_of
 from treecode.methods.ewald.summation import Ewald, scaled_task
 from treecode.methods.ewald.tuning import Task, cheapest_split, seconds_of
+from treecode.ranks import OneRank
 
 NAME = "ewald"
 EXACT = 1e-15  # nothing is more accurate
@@ -79,7 +81,8 @@ class EwaldMethod(Method):
 def _task_of(case: Case, tol: float) -> tuple[float, Task]:
     """Return the edge of a cube as large as the cell, and the sum in units of it."""
     assert isinstance(case.kernel, PeriodicKernel), "see `members`"
-    return scaled_task(case.kernel, case.sources.shape[1], case.targets.shape[1], tol)
+    counts = case.sources.shape[1], case.targets.shape[1]
+    return scaled_task(case.kernel, *counts, tol, span_of([case.sources, case.targets], OneRank()))
 
 
 METHOD = EwaldMethod()
