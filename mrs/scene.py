@@ -11,6 +11,7 @@ from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
+from mrs.fluid.mobility import Boundary
 from mrs.forces import Force
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
@@ -274,7 +275,9 @@ class Scene:
         given = given._replace(load=load)
         flow = self._flow(time, points, loads, bool(loads.any()))[rows, :3]
         with self.profile.stage("resistance"):
-            loads[rows, :3], moved = self.resistance.solve(time, points[rows], given, flow)
+            boundary = self.fluid.boundary_at(time)
+            solved = self.resistance.solve(time, points[rows], given, flow, boundary)
+            loads[rows, :3], moved = solved
         motion = self._flow(time, points, loads, len(rows) < len(points))
         motion[rows, :3] = given.velocity + carried(moved, arms, frame)
         for fixed, lever in zip(mounted, levers, strict=True):
@@ -285,7 +288,7 @@ class Scene:
         self, time: float, points: np.ndarray, loads: np.ndarray, summed: bool = True
     ) -> np.ndarray:
         """Return the motion that the loads cause, if it is summed, and that of the background."""
-        motion = self._sum(points, loads) if summed else np.zeros_like(loads)
+        motion = self._sum(time, points, loads) if summed else np.zeros_like(loads)
         if self.fluid.background is not None:
             name = self.layout.point_name
             with self.profile.stage("background"):
@@ -294,12 +297,13 @@ class Scene:
                     motion[:, 3:] += 0.5 * self.fluid.flow("vorticity", points, time, name)
         return motion
 
-    def _sum(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    def _sum(self, time: float, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        boundary = self.fluid.boundary_at(time)
         if not self.mobility.evaluations:
             with self.profile.stage("start"):
-                return self.mobility(points, loads)
+                return self.mobility(points, loads, boundary)
         with self.profile.stage("sums"):
-            motion = self.mobility(points, loads)
+            motion = self.mobility(points, loads, boundary)
             for info in self.mobility.infos():
                 self.profile.divide(info["seconds"], info["near_pairs"], info["far_pairs"])
         return motion
@@ -309,11 +313,12 @@ class Scene:
         """Let the sums meet their tolerance again."""
         now = self.evaluate(time, state)
         with self.profile.stage("error samples"):
-            changed = self.mobility.correct(now.points, now.loads)
+            changed = self.mobility.correct(*self._sources(now))
             if self.resistance is not None:
                 rows = self.layout.given
-                forces = now.loads[rows, :3]
-                changed |= self.resistance.mobility.correct(now.points[rows], forces)
+                points, loads, boundary = self._sources(now)
+                arguments = points[rows], loads[rows, :3], boundary
+                changed |= self.resistance.mobility.correct(*arguments)
             if changed:
                 self.forget()
 
@@ -329,7 +334,11 @@ class Scene:
         """Return the relative error of the sums in a state; see `Mobility.sampled_error`."""
         now = self.evaluate(time, state)
         with self.profile.stage("error samples"):
-            return self.mobility.sampled_error(now.points, now.loads)
+            return self.mobility.sampled_error(*self._sources(now))
+
+    def _sources(self, now: Evaluation) -> tuple[np.ndarray, np.ndarray, Boundary]:
+        """Return what the sums of an evaluation were made of: points, loads and the boundary."""
+        return now.points, now.loads, self.fluid.boundary_at(now.time)
 
     @joint
     def velocity(self, points: np.ndarray, now: Evaluation) -> np.ndarray:
@@ -340,9 +349,10 @@ class Scene:
         ValueError
             If a point is not in the fluid.
         """
-        self.fluid.boundary.require_inside("points", points)
+        boundary = self.fluid.boundary_at(now.time)
+        boundary.require_inside("points", points)
         with self.mobility.lock:
-            velocity = self.mobility.velocity(now.points, now.loads, points)
+            velocity = self.mobility.velocity(now.points, now.loads, points, boundary)
         if self.fluid.background is not None:
             velocity += self.fluid.flow("velocity", points, now.time)
         return velocity
@@ -360,7 +370,7 @@ class Scene:
         """Return the points of one body, (p, 3), and its arrays at points and at cells.
 
         In a periodic box points are in it, and the array "image" has the multiples of the lattice
-        vectors, (p, 3), that lead to where they are in the state.
+        vectors of that time, (p, 3), that lead to where they are in the state.
         """
         part = self.layout.part(body)
         at_points = {"velocity": now.motion[part.points, :3]}
@@ -372,7 +382,7 @@ class Scene:
             at_points["angular_velocity"] = now.motion[part.points, 3:]
         of_points, of_cells = body.fields(now.time, part.state(now.state), **at_points)
         points = now.points[part.points]
-        box = self.fluid.boundary
+        box = self.fluid.boundary_at(now.time)
         if isinstance(box, Periodic):
             image = self._images(body, points, box)
             points, of_points = points - image @ box.vectors, of_points | {"image": image}

@@ -161,7 +161,7 @@ def test_images_hold_a_lone_swimmer_back():
 
 
 def test_backgrounds_must_be_periodic():
-    for flow in (mrs.flows.shear(1.0), flow_of(CUBE)):
+    for flow in (mrs.flows.poiseuille(1.0, 2.0), flow_of(CUBE)):
         with pytest.raises(ValueError, match=r"^background must be the same in each box of Per"):
             mrs.Fluid(boundary=mrs.Periodic(SHEARED), background=flow)
     flow = flow_of(SHEARED)

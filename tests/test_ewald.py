@@ -277,6 +277,27 @@ def test_ranks_share_a_sum(on_ranks):
     assert on_ranks(3, same) == [True] * 3
 
 
+@each_kind
+@pytest.mark.parametrize("backend", ["auto", "direct"])
+def test_a_plan_sums_in_a_box_that_moves(kind, backend):
+    """Its choice stays, and gives what a plan of that box gives; also one of another volume."""
+    plan = tc.Plan(kind(0.02), backend, boundary=tc.Periodic(CUBE), tol=1e-6)
+    points, q = some(kind, CUBE, 300)
+    plan.set_points(points).execute(q)
+    choice = plan.choice
+    for cell in (SHEARED, 1.7 * CUBE):
+        values = plan.set_points(points, boundary=tc.Periodic(cell)).execute(q)
+        fixed = tc.Plan(kind(0.02), boundary=tc.Periodic(cell))
+        fixed.use(choice)
+        assert np.array_equal(fixed.set_points(points).execute(q), values)
+        assert np.array_equal(plan.set_points(points).execute(q), values)
+        assert plan.estimate_error(q, by_unit=True) <= 1e-6
+        assert plan.choice == choice
+    with pytest.raises(TypeError, match=r"^boundary must be of the kind of Periodic.*got Wall"):
+        plan.set_points(points, boundary=tc.Wall())
+    assert np.array_equal(plan.execute(q), values)
+
+
 def test_nothing_to_sum():
     kernel = periodic(KINDS[1], 0.1, CUBE)
     for backend in ("ewald", "direct"):

@@ -24,10 +24,10 @@ class Drag(NamedTuple):
     def replace(self, mobility, monkeypatch):
         """Stand in for a class of mobility; the fluid between the points is at rest."""
 
-        def motion(mobility, points, loads):
+        def motion(mobility, points, loads, boundary):
             return loads * np.repeat(self, 3)[: loads.shape[1]]
 
-        def velocity(mobility, points, loads, targets):
+        def velocity(mobility, points, loads, targets, boundary):
             return np.zeros_like(targets)
 
         monkeypatch.setattr(mobility, "__call__", motion)

@@ -23,7 +23,7 @@ from treecode.methods.base import KEYWORDS, Sum
 from treecode.methods.direct import EXACT
 from treecode.methods.registry import AUTO, Choice
 from treecode.ranks import in_step, ranks_of
-from treecode.shared_sum import made, require_spread, spread
+from treecode.shared_sum import made, require_all_or_none, require_spread, spread
 from treecode.threads import thread_count
 
 
@@ -140,14 +140,8 @@ class Plan:
         self._counts, self._groups = (0, 0), None
         self._unsorted: tuple[np.ndarray, np.ndarray | None] | None = None
         self._points_set = False
-        keywords = {
-            "theta": theta,
-            "degree": degree,
-            "leaf_size": leaf_size,
-            "precision": precision,
-            "tol": tol,
-        }
-        self._begin(_checked_keywords(backend, keywords))
+        given = {"theta": theta, "degree": degree, "leaf_size": leaf_size, "precision": precision}
+        self._begin(registry.checked_keywords(backend, {**given, "tol": tol}))
 
     def _begin(self, given: dict[str, Any]) -> None:
         """Make the sum that is given, or prepare the search for one."""
@@ -202,7 +196,9 @@ class Plan:
 
     @one_at_a_time
     @in_step
-    def set_points(self, sources: Any, targets: Any = None, groups: Any = None) -> Plan:
+    def set_points(
+        self, sources: Any, targets: Any = None, groups: Any = None, boundary: Any = None
+    ) -> Plan:
         """Sort the points and keep all that does not depend on the strengths.
 
         Parameters
@@ -213,6 +209,9 @@ class Plan:
             Where the sum is wanted; the sources by default.
         groups : (M,) array_like of int, optional
             The group of each target: `tol` is kept for the targets of each. One by default.
+        boundary : Boundary, optional
+            Where that of the plan is now, of the same kind: a box that is sheared. It stays until
+            another is given, and so does the choice of a method.
 
         Returns
         -------
@@ -223,22 +222,28 @@ class Plan:
         ------
         ValueError, TypeError
             If an array has a wrong shape or type, has masked entries, is not finite, or is beyond
-            1e60: the plan keeps the points it had. If a method by name does not take the kernel,
+            1e60, or the boundary is of another kind: the plan keeps the points it had. If a method
+            by name does not take the kernel,
             or what it builds does not fit in memory: the plan has no points.
         """
+        boundary = self.boundary if boundary is None else boundary
+        if type(boundary) is not type(self.boundary):
+            raise TypeError(f"boundary must be of the kind of {self.boundary}, got {boundary!r}")
         sources = check.points("sources", sources)
-        self.boundary.require_inside("sources", sources)
+        boundary.require_inside("sources", sources)
         if targets is not None:
             targets = check.points("targets", targets)
-            self.boundary.require_inside("targets", targets)
+            boundary.require_inside("targets", targets)
         counts = len(sources), len(sources if targets is None else targets)
         groups = None if groups is None else check.groups(groups, counts[1])
         if self._spread:
             check.absent("with distributed=True", groups=groups)
-            self._require_all_or_none(targets)
+            require_all_or_none(self.ranks, targets)
         else:
             self.ranks.require_same(sources=sources, targets=targets, groups=groups)
         self._points_set = False  # until all is done
+        if boundary is not self.boundary:
+            self._move(boundary)
         same = self._parts is not None and self._same(counts, groups)
         if self._spread:
             same = all(self.ranks.exchange(same))
@@ -259,6 +264,15 @@ class Plan:
             self._unsorted = points
         self._points_set = True
         return self
+
+    def _move(self, boundary: Boundary) -> None:
+        """Take another boundary of the same kind, and sum by the same choice within it."""
+        choice = self.choice or self._first
+        self.boundary, self._bounded = boundary, boundary.bounded(self.kernel)
+        if self._search:
+            self._search = replace(self._search, kernel=self._bounded)
+        if self._sum and choice:
+            self._sum = self._made(choice)
 
     def _same(self, counts: tuple[int, int], groups: np.ndarray | None) -> bool:
         """Tell whether these are as many points, in the same groups, as before."""
@@ -339,15 +353,6 @@ class Plan:
         """Tell whether there is anything to sum, and anywhere."""
         some = [bool(strengths.any()), len(parts.groups) > 0]
         return all(np.any(self.ranks.exchange(some), axis=0) if self._spread else some)
-
-    def _require_all_or_none(self, targets: np.ndarray | None) -> None:
-        """Refuse targets that some ranks give, and others do not."""
-        without = self.ranks.exchange(targets is None)
-        if len(set(without)) > 1:
-            raise ValueError(
-                f"targets must be given by all ranks or by none, got None on rank "
-                f"{without.index(True)}; a rank without targets gives an array of shape (0, 3)"
-            )
 
     def _seems_kept(
         self, search: Search, strengths: np.ndarray, values: np.ndarray, parts: Parts
@@ -441,10 +446,3 @@ class Plan:
         if not self._points_set or self._parts is None:
             raise RuntimeError("set_points must be called first")
         return self._parts
-
-
-def _checked_keywords(backend: str, keywords: dict[str, Any]) -> dict[str, Any]:
-    """Return the keywords that are given, in the ranges that the method declares."""
-    declared = {**KEYWORDS, **registry.parameters(backend)}
-    given = {name: value for name, value in keywords.items() if value is not None}
-    return {name: declared[name].check(name, value) for name, value in given.items()}

@@ -69,6 +69,16 @@ def require_spread(backend: str) -> None:
         raise ValueError(f"backend must be {allowed} with distributed=True, got {backend!r}")
 
 
+def require_all_or_none(ranks: OneRank, targets: np.ndarray | None) -> None:
+    """Refuse targets that some ranks give, and others do not."""
+    without = ranks.exchange(targets is None)
+    if len(set(without)) > 1:
+        raise ValueError(
+            f"targets must be given by all ranks or by none, got None on rank "
+            f"{without.index(True)}; a rank without targets gives an array of shape (0, 3)"
+        )
+
+
 def _across(choice: Choice, kernel: Kernel, ranks: OneRank, progress: bool) -> Sum | None:
     method = registry.get(choice.backend)
     parameters = method.complete(choice.parameters)

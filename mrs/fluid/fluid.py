@@ -10,6 +10,7 @@ import numpy as np
 from mrs import check
 from mrs.fluid.flows import Flow
 from mrs.fluid.mobility import Boundary, FreeSpace
+from mrs.fluid.sheared import carried, is_linear, narrowest, require_carried
 from mrs.registry import Registry
 from treecode import Periodic, Wall
 
@@ -34,7 +35,8 @@ class Fluid:
         Its motion without bodies: one of `mrs.flows`, or an object with their methods `velocity`
         and, for rods, `vorticity`.
     boundary : treecode.Boundary, optional
-        For example `mrs.Wall`, `mrs.Periodic`; the fluid is everywhere by default.
+        For example `mrs.Wall`, `mrs.Periodic`; the fluid is everywhere by default. A shear flow
+        carries a periodic box along: the box that is given is that of time 0.
 
     Raises
     ------
@@ -64,7 +66,19 @@ class Fluid:
         if flow is not None and isinstance(self.boundary, Wall):
             _require_still(flow, self.boundary)
         if flow is not None and isinstance(self.boundary, Periodic):
-            _require_periodic(flow, self.boundary)
+            if is_linear(flow):
+                require_carried(flow, self.boundary)
+            else:
+                _require_periodic(flow, self.boundary)
+
+    def boundary_at(self, time: float) -> Boundary:
+        """Return the boundary where it is at a time; only boxes in a shear flow move."""
+        return carried(self.boundary, self.background, time)
+
+    @property
+    def narrowest_boundary(self) -> Boundary:
+        """The boundary when the cell of a box is the lowest: a shear flow inclines it."""
+        return narrowest(self.boundary, self.background)
 
     def flow(
         self,

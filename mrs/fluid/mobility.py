@@ -80,7 +80,6 @@ class _Sources(NamedTuple):
     """Points of one blob size, all with torques or all without, in the fluid."""
 
     kernel: tc.Kernel
-    boundary: Boundary
     rows: np.ndarray
 
     def strengths(self, loads: np.ndarray) -> np.ndarray:
@@ -92,7 +91,7 @@ class _Sources(NamedTuple):
     ) -> np.ndarray:
         """Return the part of the flow at any targets, (M, 3), by one sum with such options."""
         arguments = self.kernel, points[self.rows], self.strengths(loads), targets
-        return tc.evaluate(*arguments, boundary=self.boundary, **options)
+        return tc.evaluate(*arguments, **options)
 
 
 class _Sum:
@@ -104,27 +103,29 @@ class _Sum:
         targets: np.ndarray,
         bodies: np.ndarray,
         backend: Backend,
+        boundary: Boundary,
         comm: Any,
     ) -> None:
         self.sources, self.targets = sources, targets
         self._same = np.array_equal(sources.rows, targets)
         own = bodies[targets]
         self._groups = own if (own != own[0]).any() else None
-        self._backend, self._comm = backend, comm
+        self._backend, self._boundary, self._comm = backend, boundary, comm
         self.begin(None)
 
     def begin(self, choice: tc.Choice | None) -> None:
         """Sum by a choice from now on, or choose anew."""
         options = self._backend.options(self._backend.tolerance)
-        kernel, boundary, _ = self.sources
-        self.plan = tc.Plan(kernel, **options, boundary=boundary, comm=self._comm)
+        where = {"boundary": self._boundary, "comm": self._comm}
+        self.plan = tc.Plan(self.sources.kernel, **options, **where)
         if choice is not None:
             self.plan.use(choice)
         self._placed: np.ndarray | None = None
 
-    def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    def __call__(self, points: np.ndarray, loads: np.ndarray, boundary: Boundary) -> np.ndarray:
         strengths = self.sources.strengths(loads)
-        if points is not self._placed:  # an iteration sums many loads at the same points
+        if self._placed is None or points is not self._placed or boundary != self._boundary:
+            self._boundary = boundary  # an iteration sums many loads at the same points
             self._place(points)
         try:
             return self.plan.execute(strengths)
@@ -144,7 +145,7 @@ class _Sum:
     def _place(self, points: np.ndarray) -> None:
         """Set the sources and the targets among all points."""
         targets = None if self._same else points[self.targets]
-        self.plan.set_points(points[self.sources.rows], targets, self._groups)
+        self.plan.set_points(points[self.sources.rows], targets, self._groups, self._boundary)
         self._placed = points
 
     def _sum_directly(self, points: np.ndarray) -> None:
@@ -197,7 +198,7 @@ class Mobility:
     ) -> None:
         self._backend = backend
         self.ranks, self._comm = ranks_of(comm), comm
-        boundary = boundary or FreeSpace()
+        self._boundary = boundary or FreeSpace()
         self.lock = tc.Lock()
         self.evaluations = 0
         self._bodies, self._spinning = bodies, spinning
@@ -211,28 +212,32 @@ class Mobility:
                 if not len(sources):
                     continue
                 kernels = [kind(float(epsilon), viscosity) for kind in _KINDS]
-                self._sources.append(_Sources(kernels[torque], boundary, sources))
+                self._sources.append(_Sources(kernels[torque], sources))
                 rotlet = spinning | torque
                 for body in np.unique(together):
                     for spin in np.unique(rotlet[together == body]):
                         targets = np.flatnonzero((together == body) & (rotlet == spin))
-                        part = _Sources(kernels[int(spin)], boundary, sources)
-                        self._sums.append(_Sum(part, targets, bodies, backend, comm))
+                        part = _Sources(kernels[int(spin)], sources)
+                        among = targets, bodies, backend, self._boundary, comm
+                        self._sums.append(_Sum(part, *among))
 
-    def __call__(self, points: np.ndarray, loads: np.ndarray) -> np.ndarray:
+    def __call__(
+        self, points: np.ndarray, loads: np.ndarray, boundary: Boundary | None = None
+    ) -> np.ndarray:
         """Return velocities and angular velocities, (N, 6), of forces and torques, (N, 6).
 
         Both are (N, 3) where there are neither torques nor angular velocities. The latter mean
-        nothing at points that do not want them.
+        nothing at points that do not want them. In this method and the others `boundary` is where
+        that of the fluid has moved to.
         """
-        values = self._total(loads, self._outs(points, loads))
+        outs = self._outs(points, loads, boundary or self._boundary)
         self.evaluations += 1
-        return values
+        return self._total(loads, outs)
 
-    def _outs(self, points: np.ndarray, loads: np.ndarray) -> list[np.ndarray]:
+    def _outs(self, points: np.ndarray, loads: np.ndarray, boundary: Boundary) -> list[np.ndarray]:
         """Return the values of each sum. After a new choice, their total is within tolerance."""
         undecided = [part.plan.choice is None for part in self._sums]
-        outs = [part(points, loads) for part in self._sums]
+        outs = [part(points, loads, boundary) for part in self._sums]
         if len(outs) == 1 or not any(
             new and part.plan.choice for new, part in zip(undecided, self._sums, strict=True)
         ):
@@ -242,7 +247,7 @@ class Mobility:
                 before = self._sums[k].plan.choice
                 self._sums[k].refine(points, loads, tolerance, outs[k])
                 if self._sums[k].plan.choice != before:
-                    outs[k] = self._sums[k](points, loads)
+                    outs[k] = self._sums[k](points, loads, boundary)
         return outs
 
     def _total(self, loads: np.ndarray, outs: list[np.ndarray]) -> np.ndarray:
@@ -270,7 +275,13 @@ class Mobility:
         spins = np.bincount(bodies, (values[:, 3:] ** 2).sum(axis=1) * spinning, count)
         return np.append(velocities, spins)
 
-    def velocity(self, points: np.ndarray, loads: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    def velocity(
+        self,
+        points: np.ndarray,
+        loads: np.ndarray,
+        targets: np.ndarray,
+        boundary: Boundary | None = None,
+    ) -> np.ndarray:
         """Return the velocity, (M, 3), at any targets, (M, 3).
 
         The sums are chosen, and their errors sampled, for these targets; a given `degree` is used
@@ -278,14 +289,15 @@ class Mobility:
         direct ones for any tolerance, since no others are more accurate.
         """
         tolerance, flow = self._backend.tolerance, (points, loads, targets)
-        outs = [self._velocity_once(part, flow, tolerance) for part in self._sources]
+        where = boundary or self._boundary
+        outs = [self._velocity_once(part, flow, tolerance, where) for part in self._sources]
         if len(outs) > 1 and self._backend.degree is None:
             squares = np.array([[np.vdot(out, out)] for out in outs])
             total = np.sum(outs, axis=0)
             shares = _shares(tolerance, squares, np.array([np.vdot(total, total)]))
             for k, share in enumerate(shares):
                 if share < tolerance:
-                    outs[k] = self._velocity_once(self._sources[k], flow, share)
+                    outs[k] = self._velocity_once(self._sources[k], flow, share, where)
         return sum(outs, np.zeros_like(targets))
 
     def _velocity_once(
@@ -293,11 +305,13 @@ class Mobility:
         sources: _Sources,
         flow: tuple[np.ndarray, np.ndarray, np.ndarray],
         tolerance: float,
+        boundary: Boundary,
     ) -> np.ndarray:
+        options = self._backend.options(tolerance) | {"boundary": boundary, "comm": self._comm}
         try:
-            values = sources.flow(*flow, **self._backend.options(tolerance), comm=self._comm)
+            values = sources.flow(*flow, **options)
         except tc.CancellationError:
-            values = sources.flow(*flow, backend=DIRECT, comm=self._comm)
+            values = sources.flow(*flow, backend=DIRECT, boundary=boundary, comm=self._comm)
         return values[:, :3]
 
     def infos(self) -> list[dict[str, Any]]:
@@ -324,7 +338,9 @@ class Mobility:
         for part, choice in zip(self._sums, history, strict=True):
             part.begin(None if choice is None else tc.Choice(**choice))
 
-    def sampled_error(self, points: np.ndarray, loads: np.ndarray) -> float:
+    def sampled_error(
+        self, points: np.ndarray, loads: np.ndarray, boundary: Boundary | None = None
+    ) -> float:
         """Return the relative error at randomly drawn points of each body, the largest.
 
         Of the velocities and of the angular velocities that are wanted.
@@ -333,7 +349,8 @@ class Mobility:
             return 0.0
         wanted = np.ones_like(loads)
         wanted[~self._spinning, 3:] = 0.0
-        outs = [part(points, loads) for part in self._sums]
+        where: dict[str, Any] = {"boundary": boundary or self._boundary, "comm": self._comm}
+        outs = [part(points, loads, where["boundary"]) for part in self._sums]
         values = wanted * self._total(loads, outs)
 
         def exact_at(rows: np.ndarray) -> np.ndarray:
@@ -341,7 +358,7 @@ class Mobility:
             for part in self._sums:
                 own = np.isin(rows, part.targets)
                 some = points, loads, points[rows[own]]
-                out = part.sources.flow(*some, backend=DIRECT, comm=self._comm)
+                out = part.sources.flow(*some, backend=DIRECT, **where)
                 exact[own, : out.shape[1]] += out
             return wanted[rows] * exact
 
@@ -349,10 +366,12 @@ class Mobility:
         parts = Parts.of(kernel, len(points), self._bodies)
         return parts.sampled_error(values, exact_at, _SAMPLES).by_unit
 
-    def correct(self, points: np.ndarray, loads: np.ndarray) -> bool:
+    def correct(
+        self, points: np.ndarray, loads: np.ndarray, boundary: Boundary | None = None
+    ) -> bool:
         """Choose anew where a sum does not reach its tolerance any more; return if so."""
         before = self.choices
-        outs = [part(points, loads) for part in self._sums]
+        outs = [part(points, loads, boundary or self._boundary) for part in self._sums]
         needed = self._needed(loads, outs) if len(outs) > 1 else [self._backend.tolerance]
         for part, tolerance, out in zip(self._sums, needed, outs, strict=False):
             part.refine(points, loads, tolerance, out)

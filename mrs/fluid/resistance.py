@@ -7,6 +7,7 @@ bodies, R. Cortez, L. Fauci & A. Medovikov, Phys. Fluids 17, 031504 (2005).
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import scipy
 
 from mrs import rotations
 from mrs.fluid.blocks import Blocks, IllConditionedError, PlacedBlocks
-from mrs.fluid.mobility import Mobility
+from mrs.fluid.mobility import Boundary, Mobility
 from mrs.rigid_motion import GivenMotion, carried
 
 _MOST = 200  # iterations
@@ -99,7 +100,12 @@ class Resistance:
         self.memory = Memory()
 
     def solve(
-        self, time: float, points: np.ndarray, given: GivenMotion, flow: np.ndarray
+        self,
+        time: float,
+        points: np.ndarray,
+        given: GivenMotion,
+        flow: np.ndarray,
+        boundary: Boundary | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces on the fluid, (n, 3), and the motion of all frames, (k, 6).
 
@@ -110,6 +116,8 @@ class Resistance:
         given : GivenMotion
         flow : (n, 3) ndarray
             Velocities of the fluid there without these forces.
+        boundary : Boundary, optional
+            Where that of the mobility has moved to.
 
         Raises
         ------
@@ -122,7 +130,11 @@ class Resistance:
             blocks = self._placed(given)
             wanted = given.velocity + carried(given.motion, given.arms, given.frame) - flow
             guess = None if last is None else rotations.rotate(turn, last.inside)
-            forces, motion, iterations = self._iterate(points, given, blocks, wanted, guess)
+            flow_of = partial(self.mobility, points, boundary=boundary)
+            solved = self._iterate(flow_of, given, blocks, wanted, guess)
+            if solved is None:
+                raise ResistanceError(self._advice(f"not be found in {_MOST} iterations", points))
+            forces, motion, iterations = solved
             inside = rotations.rotate(rotations.conjugate(turn), forces)
             last = Solution(time, points, inside, given.motion + motion)
             least = iterations if self.memory.iterations < 0 else self.memory.least
@@ -148,18 +160,18 @@ class Resistance:
 
     def _iterate(
         self,
-        points: np.ndarray,
+        flow_of: Callable[[np.ndarray], np.ndarray],
         given: GivenMotion,
         blocks: PlacedBlocks,
         wanted: np.ndarray,
         guess: np.ndarray | None,
-    ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Return forces, motion of the free frames, and the number of iterations."""
+    ) -> tuple[np.ndarray, np.ndarray, int] | None:
+        """Return forces, motion of the free frames, and the number of iterations, if they end."""
         count, iterations = wanted.size, 0
         arms, frame, still = given.arms, given.frame, np.zeros_like(given.load)
 
         def residual_of(forces: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, float]:
-            flow = self.mobility(points, forces)
+            flow = flow_of(forces)
             size = max(np.linalg.norm(flow), np.linalg.norm(wanted))
             return wanted - flow + carried(motion, arms, frame), float(size)
 
@@ -167,7 +179,7 @@ class Resistance:
             nonlocal iterations
             iterations += 1
             forces, motion = blocks.solve(velocities.reshape(-1, 3), still)
-            return (self.mobility(points, forces) - carried(motion, arms, frame)).ravel()
+            return (flow_of(forces) - carried(motion, arms, frame)).ravel()
 
         forces = np.zeros_like(wanted) if guess is None else guess
         before = wanted if guess is None else residual_of(guess, still)[0]
@@ -182,7 +194,7 @@ class Resistance:
                 operator, residual.ravel(), rtol=0.0, atol=enough, restart=_MOST, maxiter=1
             )
             if failed:
-                raise ResistanceError(self._advice(f"not be found in {_MOST} iterations", points))
+                return None
             step, turned = blocks.solve(solved.reshape(-1, 3), still)
             forces, motion = forces + step, motion + turned
         return forces, motion, iterations

@@ -48,10 +48,13 @@ class Steric(Force):
 
     def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the force on each point, (F, 3)."""
-        box = fluid.boundary if isinstance(fluid.boundary, Periodic) else None
+        boundary = fluid.boundary_at(time)
+        box = boundary if isinstance(boundary, Periodic) else None
+        if isinstance(fluid.narrowest_boundary, Periodic):
+            self._require_room(fluid.narrowest_boundary)
         forces = self.between(points, *layout.contact_labels, box=box)
-        if isinstance(fluid.boundary, Wall):
-            forces += self.from_wall(points, fluid.boundary)
+        if isinstance(boundary, Wall):
+            forces += self.from_wall(points, boundary)
         return forces
 
     @property
@@ -94,7 +97,6 @@ class Steric(Force):
         """
         spots, owners = points, np.arange(len(points))
         if box is not None:
-            self._require_room(box)
             spots, owners = box.with_images(points, self.reach)
         pairs = scipy.spatial.cKDTree(spots).query_pairs(self.reach, output_type="ndarray")
         i, j = owners[pairs].T

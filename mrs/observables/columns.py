@@ -229,13 +229,13 @@ class _ByDistance(_OfBody):
     def require(self, sim: Simulation) -> None:
         """Refuse a simulation as others do, or one in a cell that is too small for the bins."""
         super().require(sim)
-        cell = self.cell_of(sim)
-        if cell is not None:
-            structure.require_within(self.bins[-1], Periodic(cell))
+        box = sim.fluid.narrowest_boundary if self.cell is None else Periodic(self.cell)
+        if isinstance(box, Periodic):
+            structure.require_within(self.bins[-1], box)
 
     def cell_of(self, sim: Simulation) -> ArrayLike | None:
-        """Return the cell of a periodic box, or None."""
-        box = sim.fluid.boundary
+        """Return the cell of a periodic box now, or None."""
+        box = sim.fluid.boundary_at(sim.time)
         return box.vectors if self.cell is None and isinstance(box, Periodic) else self.cell
 
 

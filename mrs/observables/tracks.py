@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,8 @@ class Tracks(NamedTuple):
     directions: np.ndarray | None
     """(T, n, 3): of swimmers, or D3 of the nodes of rods; None for tracers."""
     cell: np.ndarray | None
-    """(3, 3), lattice vectors in rows, of a periodic run."""
+    """(3, 3), lattice vectors in rows, of a periodic run; (T, 3, 3) if they are not always those
+    of the first frame."""
 
 
 def tracks(directory: str | Path, body: str) -> Tracks:
@@ -51,13 +53,23 @@ def tracks(directory: str | Path, body: str) -> Tracks:
     with Trajectory(paths[check.one_of("body", body, paths)]) as file:
         if not len(file):
             raise ValueError(f"{file.path} has no frame yet")
-        box = stored_boundary(file.meta)
-        lattice = box.vectors if isinstance(box, Periodic) else None
-        frames = [_frame(file, i, lattice) for i in range(len(file))]
         times = file.times
+        boxes = [stored_boundary(file.meta, time) for time in times]
+        lattices = [box.vectors if isinstance(box, Periodic) else None for box in boxes]
+        frames = [_frame(file, i, lattice) for i, lattice in enumerate(lattices)]
     positions, directions = zip(*frames, strict=True)
     known = directions[0] is not None
-    return Tracks(times, np.stack(positions), np.stack(directions) if known else None, lattice)
+    return Tracks(
+        times, np.stack(positions), np.stack(directions) if known else None, _common(lattices)
+    )
+
+
+def _common(lattices: Sequence[np.ndarray | None]) -> np.ndarray | None:
+    """Return the lattices of all frames, or one if they are equal; None if there are none."""
+    cells = [lattice for lattice in lattices if lattice is not None]
+    if not cells:
+        return None
+    return cells[0] if np.ptp(cells, axis=0).max() == 0.0 else np.stack(cells)
 
 
 def frame_loads(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, np.ndarray]:

@@ -36,7 +36,6 @@ class Stage(NamedTuple):
     foot: float  # of the picture, free for the bar
     size: tuple[int, int]
     floor: np.ndarray | None  # corners of the piece of wall under the bodies, (4, 3)
-    cell: np.ndarray  # corners of a periodic box, (8, 3), or none, (0, 3); see `_cell_corners`
 
 
 def stage_of(
@@ -44,7 +43,7 @@ def stage_of(
     frames: list[Places],
     camera: Camera | None,
     size: tuple[int, int],
-    boundary: Boundary | None = None,
+    boundaries: Sequence[Boundary | None],
 ) -> Stage:
     """Return the stage; without a camera given, all frames fit into the picture above the bar.
 
@@ -57,29 +56,28 @@ def stage_of(
         Three numbers each.
     size : (width, height)
         In pixels.
-    boundary : Boundary, optional
-        A wall is left out if it is far away.
+    boundaries : sequence of Boundary or None
+        Of each frame; a wall is left out if it is far away.
     """
     points, reach = _points(bodies, frames), _reach(bodies)
-    corners = _cell_corners(boundary)
-    points = np.concatenate([points, corners])
+    points = np.concatenate([points, *map(cell_corners, boundaries)])
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     extent = float(np.ptp(points, axis=0).max()) or reach or 1.0
-    scene, cell = (points - middle) / extent, (corners - middle) / extent
-    floor = None
+    scene = (points - middle) / extent
+    floor, boundary = None, boundaries[0]
     if isinstance(boundary, Wall):
         floor = _floor(scene, (boundary.point - middle) / extent, boundary.frame)
     if camera is not None:
         *places, up = np.asarray(camera, np.float64)
         view = [*((place - middle) / extent for place in places), up]
-        return Stage(middle, extent, view, 0.0, size, floor, cell)
+        return Stage(middle, extent, view, 0.0, size, floor)
     towards = _VIEW / np.linalg.norm(_VIEW)
     slope = np.tan(np.radians(ANGLE / 2)) * (1 - _MARGIN)
     slopes = np.array([slope * size[0] / size[1], slope * (1 - _FOOT)])
     seen = scene if floor is None else np.concatenate([scene, floor])
     center, distance = _fit(seen, towards, slopes, reach / extent)
     view = [center + distance * towards, center, (0, 0, 1)]
-    return Stage(middle, extent, view, _FOOT, size, floor, cell)
+    return Stage(middle, extent, view, _FOOT, size, floor)
 
 
 def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarray | None:
@@ -104,10 +102,14 @@ def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarr
     return origin + corners @ frame[:2]
 
 
-def _cell_corners(boundary: Boundary | None) -> np.ndarray:
+def cell_corners(boundary: Boundary | None) -> np.ndarray:
     """Return the corners of the cell of a periodic box, (8, 3), or none, (0, 3).
 
     Bit d of the number of a corner says whether it is away from the first one along vector d.
+
+    Parameters
+    ----------
+    boundary : Boundary, optional
     """
     if not isinstance(boundary, Periodic):
         return np.empty((0, 3))

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mrs.output.camera import ANGLE, TIP, Places, Stage
+from mrs.fluid import Periodic
+from mrs.fluid.mobility import Boundary
+from mrs.output.camera import ANGLE, TIP, Places, Stage, cell_corners
 from mrs.output.colors import Colors, field_at_points, magnitude
 from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata
@@ -37,7 +39,13 @@ _FACETS = 2_000_000  # of all spheres together, at most
 _Shapes = list[tuple[Any, dict[str, Any]]]  # meshes, and how to draw them
 
 
-def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Stage) -> np.ndarray:
+def picture(
+    bodies: list[Trajectory],
+    places: Places,
+    colors: Colors,
+    stage: Stage,
+    boundary: Boundary | None,
+) -> np.ndarray:
     """Return a frame as pixels, (height, width, 3) uint8.
 
     Parameters
@@ -47,6 +55,8 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
         Of the frame in the file of each body.
     colors : Colors
     stage : Stage
+    boundary : Boundary or None
+        Of this frame; a box is drawn.
     """
     import pyvista as pv
 
@@ -59,8 +69,8 @@ def picture(bodies: list[Trajectory], places: Places, colors: Colors, stage: Sta
             plotter.add_light(light)
         if stage.floor is not None:
             _add_wall(plotter, stage.floor)
-        if len(stage.cell):
-            _add_cell(plotter, stage.cell)
+        if isinstance(boundary, Periodic):
+            _add_cell(plotter, (cell_corners(boundary) - stage.center) / stage.extent)
         for body, i in zip(bodies, places, strict=True):
             if body.topology.cells:
                 _add_body(plotter, body, i, colors, stage)

@@ -75,11 +75,17 @@ def render(
     with trajectories(directory) as bodies:
         frames = _frames(bodies, wanted)
         colors = colors_of(bodies, frames, color_by)
-        stage = stage_of(bodies, frames, camera, size, stored_boundary(bodies[0].meta))
+        first = bodies[0]
+        times = [first.times[places[0]] for places in frames]
+        boundaries = [stored_boundary(first.meta, time) for time in times]
+        stage = stage_of(bodies, frames, camera, size, boundaries)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
         run_directory.note_made(directory, destination)
-        pictures = (picture(bodies, places, colors, stage) for places in frames)
+        pictures = (
+            picture(bodies, places, colors, stage, boundary)
+            for places, boundary in zip(frames, boundaries, strict=True)
+        )
         with replacing(destination) as temporary:
             _write(temporary, pictures)
     return destination

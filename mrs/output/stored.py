@@ -13,6 +13,7 @@ from mrs import check
 from mrs.fluid import BOUNDARIES, Backend, Fluid, Mobility
 from mrs.fluid.flows import Flow, QuadraticFlow
 from mrs.fluid.mobility import DIRECT, Boundary, FreeSpace
+from mrs.fluid.sheared import carried
 from mrs.output import frames
 from mrs.output.trajectory import Trajectory
 
@@ -52,18 +53,27 @@ def _boundary_meta(boundary: Boundary) -> dict[str, Any]:
     return meta
 
 
-def stored_boundary(meta: Mapping[str, Any]) -> Boundary | None:
-    """Return the boundary that a file holds, if it holds its numbers.
+def stored_boundary(meta: Mapping[str, Any], time: float) -> Boundary | None:
+    """Return the boundary that a file holds, if it holds its numbers, where it is at a time.
 
     Parameters
     ----------
     meta : dict
         Of a trajectory.
+    time : float
     """
     kind = BOUNDARIES.get(meta.get("boundary kind", ""))
     if kind is None or not is_dataclass(kind):
         return None
-    return kind(**{field.name: meta[f"boundary {field.name}"] for field in fields(kind)})
+    boundary = kind(**{field.name: meta[f"boundary {field.name}"] for field in fields(kind)})
+    return carried(boundary, _stored_background(meta), time)
+
+
+def _stored_background(meta: Mapping[str, Any]) -> QuadraticFlow | None:
+    """Return the background that a file holds, if it holds its numbers."""
+    if f"background {_FLOW[0]}" not in meta:
+        return None
+    return QuadraticFlow(**{name: meta[f"background {name}"] for name in _FLOW})
 
 
 class FieldError(NamedTuple):
@@ -90,7 +100,7 @@ class StoredFrame:
     background : Flow, optional
         In place of one that the files only name.
     boundary : treecode.Boundary, optional
-        Likewise.
+        Likewise; that of time 0.
 
     Attributes
     ----------
@@ -131,13 +141,10 @@ class StoredFrame:
             self._meta = meta = bodies[0].meta
         self.points = np.concatenate([part.points for part in self._parts]).astype(np.float64)
         self.tolerance: float = meta["tolerance"]
-        self.unknown: str | None = None
-        if background is None and f"background {_FLOW[0]}" in meta:
-            background = QuadraticFlow(**{name: meta[f"background {name}"] for name in _FLOW})
-        elif background is None:
-            self.unknown = meta.get("background")
-        self._background = background
-        self._boundary = boundary or stored_boundary(meta)
+        self._background = background or _stored_background(meta)
+        self.unknown = meta.get("background") if self._background is None else None
+        given = carried(boundary, background, self.time) if boundary else None
+        self._boundary = given or stored_boundary(meta, self.time)
         self.unknown_boundary = meta.get("boundary") if self._boundary is None else None
         self._sources = _sources(self._parts)
         self._sums = self._mobility(self._sources, "auto")

@@ -1,4 +1,4 @@
-"""A kernel whose sources repeat periodically in three directions."""
+"""A kernel whose sources repeat periodically in two or three directions."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from treecode.kernels.base import weights
 class PeriodicKernel(NamedTuple):
     """The flow of sources that a lattice repeats, of all images together.
 
-    The flow, and of kernels with angular velocities the spin, has no mean over the cell: in Fourier
-    space the wave k = 0 is left out. Forces that do not add up to zero are so balanced by a uniform
-    body force on the fluid.
+    The flow, and of kernels with angular velocities the spin, has no mean over a cell of three
+    vectors: in Fourier space the wave k = 0 is left out. Forces that do not add up to zero are so
+    balanced by a uniform body force on the fluid. In a slab, of two vectors, there is no such mean:
+    a force f along the plane drives the mean flow ``-|z| f / (2 mu A)`` at a height z above it, per
+    area A of the cell. One across the plane drives none, and is balanced by the pressure.
 
     It has no `pair`, since a lattice sum is no sum over pairs; methods that ask for one leave it to
     others.
@@ -24,11 +26,16 @@ class PeriodicKernel(NamedTuple):
     free : RegularizedStokeslet or RegularizedStokesletRotlet
         The kernel in free space.
     cell : tuple of three tuples of three floats
-        The rows are the lattice vectors.
+        The rows are the lattice vectors. Two of them, across z, are those of a slab.
     """
 
     free: Any
     cell: tuple[tuple[float, float, float], ...]
+
+    @property
+    def is_slab(self) -> bool:
+        """Whether it is free along z."""
+        return len(self.cell) == 2
 
     @property
     def strength_size(self) -> int:
@@ -55,6 +62,15 @@ class PeriodicKernel(NamedTuple):
         return weights(self.free, q)
 
 
+def inverse(vectors: np.ndarray) -> np.ndarray:
+    """Return the matrix, (3, n), that turns points into parts of n vectors, (n, 3), in rows.
+
+    Two vectors are across z.
+    """
+    count = len(vectors)
+    return np.concatenate([np.linalg.inv(vectors[:, :count]), np.zeros((3 - count, count))])
+
+
 def heights(vectors: np.ndarray) -> np.ndarray:
-    """Return the distances between opposite faces of a cell, (3,); its vectors are in rows."""
-    return np.asarray(1.0 / np.linalg.norm(np.linalg.inv(vectors), axis=0))
+    """Return the distances between opposite faces of a cell of n vectors, (n,)."""
+    return np.asarray(1.0 / np.linalg.norm(inverse(vectors), axis=0))

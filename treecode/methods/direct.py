@@ -49,7 +49,7 @@ class DirectSummation(WalkMethod):
     def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Sum:
         """Return a sum without points."""
         if isinstance(kernel, PeriodicKernel):
-            return ewald.exact_sum(kernel, progress)
+            return ewald.ExactSum(kernel, parameters, progress)
         return super().make(kernel, parameters, progress)
 
     def seeks(self, given: Mapping[str, Any]) -> bool:

@@ -9,7 +9,7 @@ from treecode import check
 from treecode.boundaries.base import Boundary, BoundedKernel
 from treecode.boundaries.within import Within
 from treecode.kernels.base import Kernel
-from treecode.methods.base import Method, Parameter, Sum
+from treecode.methods.base import KEYWORDS, Method, Parameter, Sum
 
 AUTO = "auto"  # in the place of a name: any method, by tolerance
 
@@ -96,6 +96,13 @@ def require_within(kernel: Any, backend: str, boundary: Boundary) -> None:
         raise ValueError(
             f"backend must be {allowed} or {AUTO!r} within {boundary}, got {backend!r}"
         )
+
+
+def checked_keywords(backend: str, keywords: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the keywords of a plan that are not None, in the ranges that the method declares."""
+    declared = {**KEYWORDS, **parameters(backend)}
+    given = {name: value for name, value in keywords.items() if value is not None}
+    return {name: declared[name].check(name, value) for name, value in given.items()}
 
 
 class Choice:

@@ -12,8 +12,10 @@ from treecode.kernels.base import Kernel
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter
 from treecode.methods.ewald.cells import crowding
+from treecode.methods.ewald.slab import span_of
 from treecode.methods.ewald.summation import Ewald, scaled_task
 from treecode.methods.ewald.tuning import Task, cheapest_split, seconds_of
+from treecode.ranks import OneRank
 
 NAME = "ewald"
 EXACT = 1e-15  # nothing is more accurate
@@ -79,15 +81,34 @@ class EwaldMethod(Method):
 def _task_of(case: Case, tol: float) -> tuple[float, Task]:
     """Return the edge of a cube as large as the cell, and the sum in units of it."""
     assert isinstance(case.kernel, PeriodicKernel), "see `members`"
-    return scaled_task(case.kernel, case.sources.shape[1], case.targets.shape[1], tol)
+    counts = case.sources.shape[1], case.targets.shape[1]
+    return scaled_task(case.kernel, *counts, tol, span_of([case.sources, case.targets], OneRank()))
 
 
 METHOD = EwaldMethod()
 
 
-def exact_sum(kernel: PeriodicKernel, progress: bool = False) -> Ewald:
-    """Return a sum to rounding, which is the same for as many points anywhere."""
-    return Ewald(kernel, {"tol": EXACT}, progress, evenly=True)
+class ExactSum(Ewald):
+    """A sum to rounding, which is the same for as many points anywhere.
+
+    Parameters
+    ----------
+    kernel : PeriodicKernel
+    parameters : mapping
+        Of the method that stands for such sums, which have none.
+    progress : bool
+    """
+
+    def __init__(
+        self, kernel: PeriodicKernel, parameters: Mapping[str, Any], progress: bool
+    ) -> None:
+        super().__init__(kernel, {"tol": EXACT}, progress, evenly=True)
+        self._named = dict(parameters)
+
+    @property
+    def parameters(self) -> dict[str, Any]:
+        """Those of the method."""
+        return self._named
 
 
 def exact_seconds(case: Case) -> float:

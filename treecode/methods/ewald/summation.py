@@ -19,6 +19,7 @@ from treecode.methods.ewald.long_part import (
     to_waves,
 )
 from treecode.methods.ewald.short_part import ShortStokeslet, ShortStokesletRotlet, sum_neighbours
+from treecode.methods.ewald.slab import PlaneFlow, Span, padded, span_of
 from treecode.methods.ewald.tuning import (
     Task,
     cheapest_split,
@@ -78,7 +79,12 @@ class Ewald:
         self._pairs = None
         everywhere = sources if targets is None else targets
         count = sum(self.ranks.exchange(everywhere.shape[1]))
-        self._unit, self._task = scaled_task(self.kernel, sources.shape[1], count, self.tol)
+        span = span_of([sources, everywhere], self.ranks)
+        self._unit, self._task = scaled_task(self.kernel, sources.shape[1], count, self.tol, span)
+        self._plane = None
+        if self.kernel.is_slab:
+            ends = Span(span.low / self._unit, span.high / self._unit)
+            self._plane = PlaneFlow(self._task.vectors, ends, self._task.epsilon)
         with self.seconds.stage("tree"):
             vectors = self._task.vectors
             scaled = sources / self._unit
@@ -166,6 +172,9 @@ class Ewald:
         for c in range(values.shape[1]):
             part = smooth[c // 2]
             values[self.target_order, c] += part.imag if c % 2 else part.real
+        if self._plane:
+            sources, targets = self.sources[2] / self._unit, self.targets[2] / self._unit
+            values[self.target_order] += self._plane(weights, sources, targets)
         self._pairs = sum(pairs)
 
     def _share(
@@ -235,11 +244,15 @@ class Ewald:
 
 
 def scaled_task(
-    kernel: PeriodicKernel, sources: int, targets: int, tol: float
+    kernel: PeriodicKernel, sources: int, targets: int, tol: float, span: Span
 ) -> tuple[float, Task]:
-    """Return the edge of a cube as large as the cell, and the sum in units of it."""
-    vectors = np.array(kernel.cell)
+    """Return the edge of a cube as large as the cell, and the sum in units of it.
+
+    The cell of a slab is padded around all points.
+    """
+    vectors, free = np.array(kernel.cell), kernel.free
+    if kernel.is_slab:
+        vectors = padded(vectors, span, free.epsilon, tol)
     scale = np.abs(vectors).max()
     unit = float(scale * abs(np.linalg.det(vectors / scale)) ** (1.0 / 3.0))
-    free = kernel.free
     return unit, Task(vectors / unit, free.epsilon / unit, free.value_size, sources, targets, tol)
