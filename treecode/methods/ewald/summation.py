@@ -66,6 +66,7 @@ class Ewald:
         self.xi: float = parameters.get("xi", 0.0)
         self._evenly = evenly
         self._pairs: int | None = None
+        self._cut_for: tuple[Any, ...] = ()
         self.ranks = OneRank()
 
     @property
@@ -93,11 +94,7 @@ class Ewald:
                 even = self._evenly or self.ranks.size > 1
                 known = () if even else (crowding(vectors, scaled, scaled_targets),)
                 self.xi = cheapest_split(self._task, *known).xi / self._unit
-            self._split = split_at(self._task, self.xi * self._unit)
-            self._waves = make_waves(
-                vectors, self._task.epsilon, self._split.xi, self._split.wave_number
-            )
-            self._grid = make_grid(vectors, self._split.distance, sources.shape[1], count)
+            self._cut_off()
             self._sources = sort_points(self._grid, scaled)
             self._targets = self._sources
             if scaled_targets is not None:
@@ -107,6 +104,16 @@ class Ewald:
         self.sources = self.targets = np.ascontiguousarray(sources[:, self.source_order])
         if targets is not None:
             self.targets = np.ascontiguousarray(targets[:, self.target_order])
+
+    def _cut_off(self) -> None:
+        """Cut off both parts, unless it was done for as many points in the same cell."""
+        task, xi = self._task, self.xi * self._unit
+        cut_for = (task.vectors.tobytes(), *task[1:], xi)
+        if cut_for != self._cut_for:
+            self._split = split = split_at(task, xi)
+            self._waves = make_waves(task.vectors, task.epsilon, split.xi, split.wave_number)
+            self._grid = make_grid(task.vectors, split.distance, task.sources, task.targets)
+            self._cut_for = cut_for
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""
