@@ -370,7 +370,7 @@ class Scene:
         """Return the points of one body, (p, 3), and its arrays at points and at cells.
 
         In a periodic box points are in it, and the array "image" has the multiples of the lattice
-        vectors of that time, (p, 3), that lead to where they are in the state.
+        vectors of that time, (p, 3) or in a slab (p, 2), that lead to where they are in the state.
         """
         part = self.layout.part(body)
         at_points = {"velocity": now.motion[part.points, :3]}
@@ -389,7 +389,7 @@ class Scene:
         return points, of_points, of_cells
 
     def _images(self, body: Body, points: np.ndarray, box: Periodic) -> np.ndarray:
-        """Return the image of a box that each point is in, (p, 3): that of the middle of its line.
+        """Return the image of a box that each point is in: that of the middle of its line.
 
         A line is drawn whole, and not across the box.
         """

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import LinearOperator, cg
 
+from mrs import Periodic
 from mrs.fluid.mobility import Backend, Mobility
 
 X, Y, Z = np.eye(3)
+DIRECT, EWALD = Backend("direct"), Backend("ewald", tolerance=1e-8)
 THICK = np.exp(0.5)  # epsilon of a line of blobs with the drag of a rod of radius 1
 
 
-def resistance(points, epsilon, velocity):
+def resistance(points, epsilon, velocity, backend=DIRECT, boundary=None):
     """Return the forces, (N, 3), with which the points move at `velocity`, mu = 1.
 
     The mobility is symmetric and positive definite, and forces are wanted only in products with
@@ -18,7 +20,8 @@ def resistance(points, epsilon, velocity):
     """
     n = len(points)
     no = np.zeros(n, bool)
-    mobility = Mobility(1.0, np.full(n, epsilon), ~no, no, no, no.astype(int), Backend("direct"))
+    some = np.full(n, epsilon), ~no, no, no, no.astype(int)
+    mobility = Mobility(1.0, *some, backend, boundary)
     matrix = LinearOperator(
         (3 * n, 3 * n), lambda f: mobility(points, f.reshape(n, 3)).ravel(), dtype=float
     )
@@ -65,6 +68,46 @@ def test_sphere_tends_to_stokes():
         errors.append(resistance(points, sphere_blob(n), Z).sum(axis=0)[2] / (6.0 * np.pi) - 1.0)
     # Four times as many points are blobs of half the size; the blob's own error is of order 1 to 2.
     assert 1.0 <= np.log2(errors[0] / errors[1]) <= 2.0
+
+
+def array_drag(n, fraction):
+    """Return the drag of a cubic array of spheres, over 6 pi mu a U, with a the radius by drag.
+
+    U is the velocity relative to the mean of the whole cell, spheres and fluid.
+    """
+    points, epsilon = fibonacci_sphere(n), sphere_blob(n)
+    radius = resistance(points, epsilon, Z)[:, 2].sum() / (6.0 * np.pi)
+    edge = radius * (4.0 * np.pi / (3.0 * fraction)) ** (1.0 / 3.0)
+    forces = resistance(points, epsilon, Z, EWALD, Periodic((edge, edge, edge)))
+    return forces[:, 2].sum() / (6.0 * np.pi * radius)
+
+
+def test_a_dilute_array_of_spheres_is_hasimotos():
+    """H. Hasimoto (J. Fluid Mech. 5, 1959), to the square of the fraction c.
+
+    How the blobs fill the sphere shows in its next images only, which are some 1e-4.
+    """
+    c = 1e-3
+    expected = 1.0 / (1.0 - 1.7601 * c ** (1.0 / 3.0) + c - 1.5593 * c**2)
+    assert array_drag(200, c) == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("fraction", "drag", "within"),
+    [(0.027, 2.008, 5e-4), (0.064, 2.810, 1e-3), (0.125, 4.292, 3e-3)],
+)
+def test_an_array_of_spheres(fraction, drag, within):
+    """A. A. Zick & G. M. Homsy (J. Fluid Mech. 115, 1982), table 2, to four digits.
+
+    The error falls with the size of the blobs. The value for none, by the parabola through three
+    sizes, leaves terms of third order, which grow as gaps between spheres narrow.
+    """
+    counts = np.array([100, 200, 400])
+    values = np.array([array_drag(n, fraction) for n in counts])
+    errors = np.abs(values / drag - 1.0)
+    assert (errors[1:] < 0.8 * errors[:-1]).all()
+    without = np.polyfit(counts**-0.5, values, 2)[-1]
+    assert without == pytest.approx(drag, rel=within)
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,11 @@
-"""Walls and periodic boxes
+"""Walls, periodic boxes and slabs
 
 Uniform points in a cube of side 1 with random loads, epsilon 0.005: over a wall that the cube
-stands on, and in a periodic box that is the cube. Seconds are those of a sum with the points set
-anew, on one thread, beside free space by the same backend (in a box by "fmm"). Both are summed in
-turns, and the ratio is the median of the turns. Direct sums are at as many targets as take some
-seconds. Errors are those of the flow within the boundary, sampled at 400 targets.
+stands on, in a periodic box that is the cube, and in a slab, which repeats it in two directions.
+Seconds are those of a sum with the points set anew, on one thread, beside free space by the same
+backend (periodic sums: by "fmm"). Both are summed in turns, and the ratio is the median of the
+turns. Direct sums are at as many targets as take some seconds. Errors are those of the flow within
+the boundary, sampled at 400 targets.
 """
 
 from __future__ import annotations
@@ -24,7 +25,11 @@ from benchmarks.rows import Row
 from mrs import markdown
 
 KERNELS = {"forces": tc.RegularizedStokeslet, "loads": tc.RegularizedStokesletRotlet}
-BOUNDARIES = {"wall": tc.Wall(), "box": tc.Periodic((1.0, 1.0, 1.0))}
+BOUNDARIES = {
+    "wall": tc.Wall(),
+    "box": tc.Periodic((1.0, 1.0, 1.0)),
+    "slab": tc.Periodic((1.0, 1.0), "xy"),
+}
 EPSILON = 0.005
 TURNS = 3
 DIRECT_PAIRS = 6e8
@@ -32,7 +37,7 @@ SIZES = 15_000, 300_000
 
 
 def cases(quick: bool) -> Iterator[Row]:
-    """Yield sums over a wall, then in a box; torques where operators are built in some minutes."""
+    """Yield sums over a wall, then periodic ones; torques where operators take some minutes."""
     sizes = (2_000,) if quick else SIZES
     for size, kernel in product(sizes, KERNELS):
         common: Row = {"boundary": "wall", "strengths": kernel, "size": size}
@@ -44,10 +49,13 @@ def cases(quick: bool) -> Iterator[Row]:
             if backend == KITC and size > SIZES[0] and tol < 1e-3:
                 continue
             yield common | {"backend": backend, "tol": tol}
-    for size, tol in product((2_000,) if quick else (100_000, 1_000_000), (1e-5, 1e-10)):
-        yield {
-            "boundary": "box", "strengths": "forces", "size": size, "backend": EWALD, "tol": tol,
-        }  # fmt: skip
+    sizes, tolerances = ((2_000,), (1e-5,)) if quick else ((100_000, 1_000_000), (1e-5, 1e-10))
+    for boundary, size, tol in product(("box", "slab"), sizes, tolerances):
+        if boundary == "box" or (size, tol) == (sizes[0], tolerances[0]):
+            yield {
+                "boundary": boundary, "strengths": "forces", "size": size, "backend": EWALD,
+                "tol": tol,
+            }  # fmt: skip
 
 
 def measure(boundary: str, strengths: str, size: int, backend: str, **options: Any) -> Row:

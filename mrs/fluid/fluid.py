@@ -116,14 +116,17 @@ def _require_still(flow: Flow, wall: Wall) -> None:
 
 def _require_periodic(flow: Flow, box: Periodic) -> None:
     """Refuse a background that is not the same in the next images of a box, at some points."""
-    places = np.array([[0.0, 0.0, 0.0], [0.31, 0.53, 0.78], [0.9, 0.2, 0.4]]) @ box.vectors
-    moved = (places[:, None] + box.vectors).reshape(-1, 3)
+    vectors = box.vectors
+    points = np.array([[0.0, 0.0, 0.0], [0.31, 0.53, 0.78], [0.9, 0.2, 0.4]])
+    points *= np.abs(vectors).max()
+    moved = (points[:, None] + vectors).reshape(-1, 3)
     here, there = (
-        check.vectors("background velocity", flow.velocity(points, 0.0), len(points), str)
-        for points in (places, moved)
+        check.vectors("background velocity", flow.velocity(some, 0.0), len(some), str)
+        for some in (points, moved)
     )
-    if np.abs(there - np.repeat(here, 3, axis=0)).max() > _STILL * np.abs(there).max():
+    count = len(vectors)
+    if np.abs(there - np.repeat(here, count, axis=0)).max() > _STILL * np.abs(there).max():
         raise ValueError(
             f"background must be the same in each box of {box}, got one with velocity {here[0]} at "
-            f"{places[0]} and {there[0]}, {there[1]}, {there[2]} in the next boxes"
+            f"{points[0]} and {', '.join(map(str, there[:count]))} in the next boxes"
         )

@@ -9,6 +9,7 @@ S. F. Edwards, J. Phys. C 5, 1972). Other flows turn boxes, or draw them out eve
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from typing import TypeGuard
 
 import numpy as np
@@ -36,6 +37,8 @@ def carried(boundary: Boundary, flow: Flow | None, time: float) -> Boundary:
     if not isinstance(boundary, Periodic) or not is_linear(flow):
         return boundary
     axis, rates = _shear(boundary, flow)
+    if not rates.any():  # a slab that the flow is along, and which is across its gradient
+        return boundary
     shift = rates * time
     shift -= np.rint(shift + _inclination(boundary, axis))
     return _inclined(boundary, axis, shift)
@@ -49,7 +52,7 @@ def narrowest(boundary: Boundary, flow: Flow | None) -> Boundary:
     inclination = _inclination(boundary, axis)
     # The area of a face is a convex function of inclinations: it is largest at a corner.
     reduced = inclination - np.rint(inclination)
-    ends = [(-0.5, 0.5) if rates[d] else (reduced[d],) for d in range(3)]
+    ends = [(-0.5, 0.5) if rate else (x,) for rate, x in zip(rates, reduced, strict=True)]
     cells = [_inclined(boundary, axis, end - inclination) for end in itertools.product(*ends)]
     return min(cells, key=lambda cell: float(cell.heights.min()))
 
@@ -75,7 +78,7 @@ def require_carried(flow: QuadraticFlow, box: Periodic) -> None:
 
 
 def _shear(box: Periodic, flow: QuadraticFlow) -> tuple[int, np.ndarray]:
-    """Return which lattice vector the flow is along, and how many of it the others gain, (3,).
+    """Return which lattice vector the flow is along, and how many of it the others gain, (n,).
 
     The rates are per time; that of the vector itself is 0, since the flow is free of divergence.
     """
@@ -91,7 +94,7 @@ def _shear(box: Periodic, flow: QuadraticFlow) -> tuple[int, np.ndarray]:
 
 
 def _inclination(box: Periodic, axis: int) -> np.ndarray:
-    """Return how far each lattice vector is inclined along one of them, (3,), in parts of it."""
+    """Return how far each lattice vector is inclined along one of them, (n,), in parts of it."""
     along = box.vectors[axis]
     inclination = box.vectors @ along / (along @ along)
     inclination[axis] = 0.0
@@ -99,5 +102,5 @@ def _inclination(box: Periodic, axis: int) -> np.ndarray:
 
 
 def _inclined(box: Periodic, axis: int, shift: np.ndarray) -> Periodic:
-    """Return a box with multiples of one lattice vector added to each, (3,)."""
-    return Periodic(box.vectors + np.outer(shift, box.vectors[axis]))
+    """Return a box with multiples of one lattice vector added to each, (n,)."""
+    return replace(box, cell=box.vectors + np.outer(shift, box.vectors[axis]))

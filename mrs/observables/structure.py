@@ -126,7 +126,9 @@ def bin_edges(bins: ArrayLike) -> np.ndarray:
 
 
 def require_within(reach: float, box: Periodic) -> None:
-    """Refuse bins that reach beyond half the width of a periodic box."""
+    """Refuse bins that reach beyond half the width of a periodic box, and slabs."""
+    if len(box.cell) < 3:
+        raise ValueError(f"cell must have three lattice vectors, got {box}")
     half = 0.5 * box.heights.min()
     if reach > (1.0 + _ROUNDING) * half:
         raise ValueError(

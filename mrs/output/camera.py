@@ -103,7 +103,7 @@ def _floor(scene: np.ndarray, origin: np.ndarray, frame: np.ndarray) -> np.ndarr
 
 
 def cell_corners(boundary: Boundary | None) -> np.ndarray:
-    """Return the corners of the cell of a periodic box, (8, 3), or none, (0, 3).
+    """Return the corners of the cell of a periodic box, (8, 3), of a slab, (4, 3), or none, (0, 3).
 
     Bit d of the number of a corner says whether it is away from the first one along vector d.
 
@@ -113,7 +113,8 @@ def cell_corners(boundary: Boundary | None) -> np.ndarray:
     """
     if not isinstance(boundary, Periodic):
         return np.empty((0, 3))
-    away = np.arange(8)[:, None] >> np.arange(3) & 1
+    count = len(boundary.vectors)
+    away = np.arange(2**count)[:, None] >> np.arange(count) & 1
     return np.asarray(away @ boundary.vectors)
 
 

@@ -94,10 +94,11 @@ def _add_wall(plotter: pv.Plotter, corners: np.ndarray) -> None:
 
 
 def _add_cell(plotter: pv.Plotter, corners: np.ndarray) -> None:
-    """Draw the edges of a periodic box."""
+    """Draw the edges of a periodic box, or of the cell of a slab at z = 0."""
     import pyvista as pv
 
-    pairs = [(i, i | step) for i in range(8) for step in (1, 2, 4) if not i & step]
+    steps = (1, 2, 4)[: len(corners) // 4 + 1]
+    pairs = [(i, i | step) for i in range(len(corners)) for step in steps if not i & step]
     lines = np.insert(pairs, 0, 2, axis=1)  # the number of points before each
     plotter.add_mesh(pv.PolyData(corners, lines=lines), color=_INK, line_width=1, render=False)
 

@@ -65,7 +65,8 @@ def stored_boundary(meta: Mapping[str, Any], time: float) -> Boundary | None:
     kind = BOUNDARIES.get(meta.get("boundary kind", ""))
     if kind is None or not is_dataclass(kind):
         return None
-    boundary = kind(**{field.name: meta[f"boundary {field.name}"] for field in fields(kind)})
+    names = [field.name for field in fields(kind) if f"boundary {field.name}" in meta]
+    boundary = kind(**{name: meta[f"boundary {name}"] for name in names})
     return carried(boundary, _stored_background(meta), time)
 
 
