@@ -234,7 +234,7 @@ def test_a_step_that_failed_is_taken_again_with_the_same_noise(monkeypatch):
 SCENE = """
 scenario = "scene"
 [options]
-t_end = 1.0
+t_end = 0.6
 interval = 0.1
 checkpoint_seconds = 0
 [options.fluid]
