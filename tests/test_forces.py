@@ -166,13 +166,16 @@ def test_a_rod_on_a_tether():
 
 
 @pytest.mark.parametrize(
-    "cell",
-    [(2.0, 3.0, 4.0), ((2.0, 0.0, 0.0), (1.8, 1.0, 0.0), (0.3, -0.4, 3.0))],
-    ids=["box", "skewed"],
+    "box",
+    [
+        mrs.Periodic((2.0, 3.0, 4.0)),
+        mrs.Periodic(((2.0, 0.0, 0.0), (1.8, 1.0, 0.0), (0.3, -0.4, 3.0))),
+        mrs.Periodic(((2.0, 0.0, 0.0), (0.8, 1.5, 0.0)), axes="xy"),
+    ],
+    ids=["box", "skewed", "slab"],
 )
-def test_springs_in_a_periodic_box(cell):
+def test_springs_in_a_periodic_box(box):
     """They go to the nearest image at the start, and stay with it however far they are drawn."""
-    box = mrs.Periodic(cell)
     rng = np.random.default_rng(4)
     starts, ends = 3.0 * rng.normal(size=(2, 10, 3))
     body = mrs.Swimmers(np.concatenate([starts, ends]), np.ones((20, 3)), length=0.1, force=1.0)
@@ -183,7 +186,8 @@ def test_springs_in_a_periodic_box(cell):
         rest_length=0.0,
     )
     scene = mrs.Scene(mrs.Fluid(epsilon=0.1, boundary=box), [body], [force])
-    shifts = np.array(list(itertools.product(range(-12, 13), repeat=3))) @ box.vectors
+    multiples = itertools.product(range(-12, 13), repeat=len(box.vectors))
+    shifts = np.array(list(multiples)) @ box.vectors
     images = (ends - starts)[:, None] + shifts
     nearest = images[np.arange(10), np.argmin(np.linalg.norm(images, axis=2), axis=1)]
     points = scene.layout.initial_points
@@ -194,6 +198,21 @@ def test_springs_in_a_periodic_box(cell):
     drawn[:10] += [5.0, 0.0, 1.0]
     forces = force.forces(0.0, drawn, scene.layout, scene.fluid)
     np.testing.assert_allclose(forces[:10], 2.0 * (nearest - [5.0, 0.0, 1.0]), atol=1e-12)
+
+
+def test_springs_in_a_sheared_box():
+    """A spring across a face is drawn out as the images on both sides move apart."""
+    box, shear = mrs.Periodic((2.0, 2.0, 2.0)), mrs.flows.shear(rate=1.5)  # along x, of z
+    body = mrs.Swimmers([[0, 0, 0.1], [0, 0, 1.9]], np.ones((2, 3)), length=0.1, force=1.0)
+    force = mrs.Springs([("swimmers", 0)], [("swimmers", 1)], stiffness=1.0, rest_length=0.0)
+    scene = mrs.Scene(mrs.Fluid(epsilon=0.1, boundary=box, background=shear), [body], [force])
+    points = scene.layout.initial_points
+    for time in (0.0, 0.4, 2.5):
+        pull = force.forces(time, points, scene.layout, scene.fluid)[0]
+        np.testing.assert_allclose(pull, [-1.5 * time * 2.0, 0.0, -0.2], atol=1e-14)
+        lattice = scene.fluid.boundary_at(time)
+        image = lattice.places((pull - (points[1] - points[0]))[None])
+        np.testing.assert_allclose(image, np.round(image), atol=1e-12)
 
 
 # --- functions of one's own -----------------------------------------------------------------------

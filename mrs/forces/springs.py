@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from mrs import check
 from mrs.bodies.layout import Layout
 from mrs.fluid import Fluid, Periodic
+from mrs.fluid.sheared import is_linear
 from mrs.forces.base import Force
 
 Point = tuple[str, int]  # name of a body, and number of a point
@@ -45,7 +46,8 @@ class Springs(Force):
     Notes
     -----
     In a periodic box a spring goes to that image of its end which is nearest at time zero, and
-    stays with it, however far the ends move. Positions of a state are not wrapped into the box.
+    stays with it, however far the ends move. Positions of a state are not wrapped into the box. A
+    shear flow carries images along.
     """
 
     kind = "springs"
@@ -82,7 +84,7 @@ class Springs(Force):
     def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the force on each point, (F, 3)."""
         starts, ends = self._rows(layout)
-        between, extension = self._stretched(points, layout, fluid)
+        between, extension = self._stretched(time, points, layout, fluid)
         length = np.linalg.norm(between, axis=1)
         pull = (self.stiffness * extension / np.where(length > 0.0, length, 1.0))[:, None] * between
         forces = np.zeros_like(points)
@@ -92,19 +94,21 @@ class Springs(Force):
 
     def energy(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> float:
         """Return the sum of ``1/2 stiffness (r - rest_length)^2``."""
-        _, extension = self._stretched(points, layout, fluid)
+        _, extension = self._stretched(time, points, layout, fluid)
         return float(0.5 * self.stiffness @ extension**2)
 
     def _stretched(
-        self, points: np.ndarray, layout: Layout, fluid: Fluid
+        self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps from starts to ends, (springs, 3), and how far they are extended."""
         between, initial = (
             self._between(x, layout) for x in (points, layout.initial_points[layout.forced])
         )
         if isinstance(fluid.boundary, Periodic):
-            nearest = _nearest(initial, fluid.boundary.vectors)
-            between, initial = between + (nearest - initial), nearest
+            shift = _to_nearest(initial, fluid.boundary)
+            between, initial = between + shift, initial + shift
+            if is_linear(fluid.background):
+                between += time * shift @ fluid.background.gradient.T
         at_rest = self.rest_length
         if isinstance(at_rest, str):
             at_rest = np.linalg.norm(initial, axis=1)
@@ -149,10 +153,10 @@ def _end(name: str, value: Any) -> Point | tuple[float, ...]:
     return tuple(check.vector(name, value).tolist())
 
 
-def _nearest(between: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Return steps to the nearest images, (n, 3), in a lattice."""
-    near = between - np.round(between @ np.linalg.inv(vectors)) @ vectors
-    shifts = np.array(list(itertools.product((0.0, -1.0, 1.0), repeat=3))) @ vectors
-    images = near[:, None] + shifts  # in a skewed cell another one may be nearer
-    closest = np.argmin(np.linalg.norm(images, axis=2), axis=1)
-    return np.asarray(images[np.arange(len(near)), closest])
+def _to_nearest(between: np.ndarray, box: Periodic) -> np.ndarray:
+    """Return sums of lattice vectors, (n, 3), that lead from steps to their nearest images."""
+    near = -np.round(box.places(between))
+    around = np.array(list(itertools.product((0.0, -1.0, 1.0), repeat=len(box.vectors))))
+    shifts = (near[:, None] + around) @ box.vectors  # in a skewed cell a neighbour may be nearer
+    closest = np.argmin(np.linalg.norm(between[:, None] + shifts, axis=2), axis=1)
+    return np.asarray(shifts[np.arange(len(near)), closest])
