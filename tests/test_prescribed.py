@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mrs
+from mrs.run import scenario_files
 from tests.cases import wall_oracle
 
 PERIOD, LENGTH, MU = 0.8, 1.5, 0.7
@@ -149,6 +150,29 @@ def test_a_beat_is_read(tmp_path):
     expected[:, 2, 3] = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     expected[0, 1, 0] = [0.0, 1.0, 0.0]
     np.testing.assert_array_equal([beat.cosine, beat.sine], expected)
+
+
+SCENE = """
+scenario = "scene"
+[[options.prescribed]]
+shape = { path = "lung_cilium", length = 1.5, period = 0.8, thickness = 0.08, spacing = 0.9 }
+positions = [[0, 0, 1], [2, 0, 1]]
+delay = [0.0, 0.3]
+"""
+
+
+def test_a_beat_in_toml(tmp_path):
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    (body,) = scenario_files.make(*scenario_files.read_input(path)).simulation().bodies
+    assert (body.kind, body.name, body.motion) == ("prescribed", "prescribed", "held")
+    expected = mrs.Prescribed(lung(), positions=[[0, 0, 1], [2, 0, 1]], delay=[0.0, 0.3])
+    start = mrs.State(body.positions, body.quaternions)
+    np.testing.assert_array_equal(body.points(0.1, start), expected.points(0.1, start))
+    path.write_text(SCENE.replace("period = 0.8", "period = 0.0"))
+    scenario = scenario_files.make(*scenario_files.read_input(path))
+    with pytest.raises(mrs.ScenarioError, match=r"prescribed\.0: shape: period must be"):
+        scenario.simulation()
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -87,7 +86,16 @@ class Beat:
         self.surface = Surface(self.points(0.0), epsilon, (np.arange(count),))
 
     @classmethod
-    def read(cls, path: str | os.PathLike[str], **options: Any) -> Beat:
+    @check.spelling
+    def read(
+        cls,
+        path: str | os.PathLike[str],
+        *,
+        length: float,
+        period: float,
+        thickness: float,
+        spacing: float = 0.3,
+    ) -> Beat:
         """Return a beat whose coefficients are in a file.
 
         Parameters
@@ -97,24 +105,24 @@ class Beat:
             x, y and z, and B_nm likewise. Lines that are left out are zero. Text after # is a
             comment. Or the name of a beat that comes with this package: "lung_cilium", of which the
             effective stroke is along x.
-        **options
-            Further arguments of `Beat`.
+        length, period, thickness, spacing
+            As for `Beat`.
 
         Raises
         ------
         ValueError
             If the file does not hold this.
         """
-        known = {file.stem: file for file in sorted(_PUBLISHED.glob("*.csv"))}
+        known = {file.stem: file for file in _PUBLISHED.glob("*.csv")}
         table = np.loadtxt(known.get(str(path), Path(path)), delimiter=",", ndmin=2)
         places = table[:, :2].astype(int)
-        if table.shape[1] != 8 or (places != table[:, :2]).any() or places.min(initial=0) < 0:
+        if table.shape[1] != 8 or (places != table[:, :2]).any() or places.min() < 0:
             raise ValueError(f"{path} must have lines of n, m from 0 and of six more numbers")
         if len(np.unique(places, axis=0)) < len(places):
             raise ValueError(f"{path} must have one line for each n and m")
         both = np.zeros((2, *(places.max(axis=0) + 1), 3))
         both[:, places[:, 0], places[:, 1]] = table[:, 2:].reshape(-1, 2, 3).swapaxes(0, 1)
-        return cls(*both, **options)
+        return cls(*both, length=length, period=period, thickness=thickness, spacing=spacing)
 
     def _harmonics(self, time: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the cosines of all modes, then the sines; and their rates of change."""

@@ -27,6 +27,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
 from mrs.bodies import (
     BODIES,
+    Beat,
     Body,
     Drive,
     Mount,
@@ -132,6 +133,13 @@ _RIGID_OPTIONS: Any = _call(
     positions=(Vectors, [(0.0, 0.0, 0.0)]),
     motion=Literal["free", "held"] | Drive,
     flagellum=(_FLAGELLUM | None, None),
+)
+_PRESCRIBED_OPTIONS: Any = _call(
+    Rigid,
+    shape=(_call(Beat.read), ...),
+    positions=(Vectors, [(0.0, 0.0, 0.0)]),
+    motion=(Literal["free", "held"] | Drive, "held"),
+    name=(str, "prescribed"),
 )
 _SWIMMER_OPTIONS: Any = _call(
     Swimmers,
@@ -243,6 +251,12 @@ def _rigid(shape: Any, flagellum: Any = None, **arguments: Any) -> Rigid:
         return Rigid(Turning(surface, tail, **options), **arguments)
 
 
+def _prescribed(shape: Any, **arguments: Any) -> Prescribed:
+    with _at("shape"):
+        beat = Beat.read(**shape.arguments())
+    return Prescribed(beat, **arguments)
+
+
 def _solid(options: Any) -> surfaces.Surface:
     surface: surfaces.Surface = getattr(surfaces, options.kind)(**options.arguments())
     return surface
@@ -257,6 +271,11 @@ _OPTIONS = {
     "swimmers": _SWIMMER_OPTIONS,
     "tracers": _call(Tracers, positions=Vectors),
     "rigid": _RIGID_OPTIONS,
-    "prescribed": _call(Prescribed, shape=(Any, ...)),
+    "prescribed": _PRESCRIBED_OPTIONS,
 }
-_MAKERS: dict[str, Callable[..., Body]] = {"rods": _rods, "swimmers": _swimmers, "rigid": _rigid}
+_MAKERS: dict[str, Callable[..., Body]] = {
+    "rods": _rods,
+    "swimmers": _swimmers,
+    "rigid": _rigid,
+    "prescribed": _prescribed,
+}
