@@ -33,16 +33,16 @@ class HelicalSwimmerWithHead(mrs.Scenario):
     flagellum: Literal["rigid", "elastic"] = Field("rigid", description="how it is built")
     head_radius: float = Field(0.5, gt=0, description="of the head, an ellipsoid about its axis")
     head_length: float = Field(2.0, gt=0, description="of the head along its axis")
-    head_points: int = Field(400, ge=10, description="on the surface of the head")
+    head_points: int = Field(200, ge=10, description="on the surface of the head")
     radius: float = Field(0.3, gt=0, description="of the helix, which begins on its axis")
     pitch: float = Field(2.2, gt=0, description="of the helix, which is right-handed")
     turns: float = Field(3.0, gt=0, description="of the helix")
     thickness: float = Field(0.05, gt=0, description="radius of the flagellum")
     rate: float = Field(100.0, description="turns of the flagellum against the head, per time")
-    bending: float = Field(10.0, gt=0, description="moduli a1 = a2 = a3 of an elastic flagellum")
-    shearing: float = Field(500.0, gt=0, description="its moduli b1 = b2 = b3")
+    bending: float = Field(5.0, gt=0, description="moduli a1 = a2 = a3 of an elastic flagellum")
+    shearing: float = Field(100.0, gt=0, description="its moduli b1 = b2 = b3")
     viscosity: float = Field(1e-3, gt=0, description="of the fluid")
-    t_end: float = Field(0.05, gt=0, description="simulated time")
+    t_end: float = Field(0.02, gt=0, description="simulated time")
     interval: float = Field(0.0005, gt=0, description="simulated time between frames")
 
     @property
@@ -72,10 +72,10 @@ class HelicalSwimmerWithHead(mrs.Scenario):
         return mrs.Simulation(fluid, [mrs.Rigid(head, name="head"), rod], **common)
 
     def centerline(self) -> mrs.Centerline:
-        """Return the helix from the rear of the head on, with two nodes in a blob."""
+        """Return the helix from the rear of the head on, with three nodes in two blobs."""
         length, k = self.turns * self.pitch, 2.0 * np.pi / self.pitch
         stretch = np.hypot(1.0, k * self.radius)
-        z = np.linspace(0.0, length, max(8, round(2.0 * length * stretch / self.epsilon)))
+        z = np.linspace(0.0, length, max(8, round(1.5 * length * stretch / self.epsilon)))
         rest = np.exp(-((k * z) ** 2))
         r, slope = self.radius * (1.0 - rest), self.radius * 2.0 * k**2 * z * rest
         radial = np.column_stack([np.cos(k * z), np.sin(k * z), 0.0 * z])
