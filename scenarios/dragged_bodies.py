@@ -1,9 +1,10 @@
 """Three bodies that fall, or one that is dragged through a row of others.
 
-The picture: three spheres at the corners of a vertical triangle overtake each other, in an order
-that depends on the smallest differences at the start (Hocking 1964, J. Fluid Mech. 20, 129; Janosi
-et al. 1997, Phys. Rev. E 56, 2858). In a horizontal triangle they stay as they are. In a horizontal
-line the one in the middle falls faster. A body that is dragged along a row takes it with it.
+The picture: of three spheres at the corners of a vertical triangle two come together, and leave the
+third behind, since a pair falls faster. In other triangles they overtake each other in a chaotic
+order (Hocking 1964, J. Fluid Mech. 20, 129; Janosi et al. 1997, Phys. Rev. E 56, 2858). A
+horizontal triangle stays as it is. In a horizontal line the one in the middle falls faster. A body
+that is dragged along a row pulls it along.
 
     mrs run dragged_bodies --set arrangement=through
 """
@@ -41,7 +42,7 @@ class DraggedBodies(mrs.Scenario):
     )
     points: int = Field(150, ge=10, description="on each sphere")
     distance: float = Field(4.0, gt=0, description="between neighbours at the start")
-    t_end: float = Field(60.0, gt=0, description="simulated time")
+    t_end: float = Field(40.0, gt=0, description="simulated time")
     interval: float = Field(0.5, gt=0, description="simulated time between frames")
 
     def build(self, **common: Any) -> mrs.Simulation:

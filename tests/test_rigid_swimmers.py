@@ -275,8 +275,8 @@ def test_three_falling_spheres_keep_their_symmetry():
 
 @pytest.fixture
 def ball_file(tmp_path):
-    """A .stl of a sphere of radius 1 with 200 corners."""
-    corners = mrs.surfaces.sphere(1.0, 200).points
+    """A .stl of a sphere of radius 1 with 120 corners."""
+    corners = mrs.surfaces.sphere(1.0, 120).points
     triangles = scipy.spatial.ConvexHull(corners).simplices
     meshio.write(tmp_path / "ball.stl", meshio.Mesh(corners, [("triangle", triangles)]))
     return tmp_path / "ball.stl"
@@ -284,8 +284,8 @@ def ball_file(tmp_path):
 
 def test_head_from_a_file(ball_file):
     """Its drag is that of the sphere; with a flagellum it swims as the sphere does."""
-    read, sphere = mrs.surfaces.read(ball_file), mrs.surfaces.sphere(1.0, 200)
-    assert len(read.points) == 200
+    read, sphere = mrs.surfaces.read(ball_file), mrs.surfaces.sphere(1.0, 120)
+    assert len(read.points) == 120
     drag = mrs.resistance(mrs.Rigid(read), mrs.Fluid())[2, 2]
     assert drag == pytest.approx(6.0 * np.pi, rel=0.02)
     tail = mrs.surfaces.helix(0.3, 2.0, 2.0, 0.15).moved((0.0, 0.0, -3.1))

@@ -120,6 +120,9 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("swimmer_at_wall", {"t_end": 0.1, "stroke": "puller"}),
         ("swimmer_at_wall", {"t_end": 0.1, "angle": 1.5, "height": 10.0}),  # repelled
         ("rod_above_wall", {"t_end": 1e-3, "height": 3.0}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "triangle"}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "line", "distance": 6.0}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "through"}),
         ("helical_swimmer_with_head", {"t_end": 2e-4, "flagellum": "elastic"}),
         ("helical_swimmer_with_head", {"t_end": 1e-3, "rate": -100.0, "head_length": 1.0}),
         ("swimmer_suspension", {"t_end": 0.02, "periodic": False, "tracers": 0}),
