@@ -61,18 +61,22 @@ class HelicalSwimmer(mrs.Scenario):
         nodes that feel only their own drag do not swim.
         """
         now = sim.now
-        return swimming_speed(sim, flow(now.points, now.points, now.loads, sim.fluid))
+        return swimming_speed(now.motion, flow(now.points, now.points, now.loads, sim.fluid))
 
 
-def swimming_speed(sim: mrs.Simulation, velocity: np.ndarray) -> mrs.Check:
-    """Return the speed of the middle of all points beside that by their velocities, (N, 3)."""
-    speed = np.linalg.norm(sim.now.motion[:, :3].mean(axis=0))
+def swimming_speed(motion: np.ndarray, velocity: np.ndarray) -> mrs.Check:
+    """Return the speed of the middle of points by their motion, and by velocities, (N, 3)."""
+    speed = np.linalg.norm(motion[:, :3].mean(axis=0))
     expected = np.linalg.norm(velocity.mean(axis=0))
     return mrs.Check("swimming speed", float(speed), float(expected), 0.01)
 
 
 def flow(
-    targets: np.ndarray, points: np.ndarray, loads: np.ndarray, fluid: mrs.Fluid
+    targets: np.ndarray,
+    points: np.ndarray,
+    loads: np.ndarray,
+    fluid: mrs.Fluid,
+    epsilons: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the velocity at targets, (M, 3), of forces and torques at points, K eq. (7.2).
 
@@ -82,12 +86,13 @@ def flow(
     loads : (N, 6) ndarray
         Forces, then torques.
     fluid : mrs.Fluid
-        With the epsilon of all points.
+    epsilons : (N,) ndarray, optional
+        Blob sizes of the points; by default that of the fluid.
     """
-    assert fluid.epsilon is not None
+    sizes = np.full(len(points), fluid.epsilon) if epsilons is None else epsilons
     force, torque = loads[:, :3], loads[:, 3:]
     r = targets[:, None] - points
-    square = fluid.epsilon**2
+    square = sizes[:, None] ** 2
     psi = 1.0 / np.sqrt((r**2).sum(axis=2, keepdims=True) + square)
     along = (r * force).sum(axis=2, keepdims=True) * r
     stokeslets = force * (psi + square * psi**3) + along * psi**3

@@ -69,7 +69,7 @@ class RodAboveWall(mrs.Scenario):
         now = sim.now
         velocity = flow(now.points, now.points, now.loads, sim.fluid)
         velocity += flow_of_images(now.points, now.points, now.loads, sim.fluid)
-        return swimming_speed(sim, velocity)
+        return swimming_speed(now.motion, velocity)
 
 
 def flow_of_images(

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from mrs.fluid import blocks
 from mrs.run import scenario_files
 
 each_scenario = pytest.mark.parametrize("name", scenario_files.known())
@@ -30,8 +31,12 @@ class Drag(NamedTuple):
         def velocity(mobility, points, loads, targets, boundary):
             return np.zeros_like(targets)
 
+        def inverse(viscosity, epsilons, points):
+            return np.eye(points.size) / self.velocity
+
         monkeypatch.setattr(mobility, "__call__", motion)
         monkeypatch.setattr(mobility, "velocity", velocity)
+        monkeypatch.setattr(blocks, "_inverse", inverse)  # where forces follow from velocities
 
 
 @cache
@@ -120,6 +125,11 @@ def test_no_local_drag_gives_the_number(name, drag, monkeypatch):
         ("swimmer_at_wall", {"t_end": 0.1, "stroke": "puller"}),
         ("swimmer_at_wall", {"t_end": 0.1, "angle": 1.5, "height": 10.0}),  # repelled
         ("rod_above_wall", {"t_end": 1e-3, "height": 3.0}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "triangle"}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "line", "distance": 6.0}),
+        ("dragged_bodies", {"t_end": 0.1, "arrangement": "through"}),
+        ("helical_swimmer_with_head", {"t_end": 2e-4, "flagellum": "elastic"}),
+        ("helical_swimmer_with_head", {"t_end": 1e-3, "rate": -100.0, "head_length": 1.0}),
         ("swimmer_suspension", {"t_end": 0.02, "periodic": False, "tracers": 0}),
         ("cilia_array", {"t_end": 0.02, "rows": 1}),
         ("cilia_array", {"t_end": 0.02, "rows": 5, "metachronal_wavelength": 6.0}),

@@ -261,7 +261,8 @@ def read(path: str | os.PathLike[str]) -> Surface:
     ValueError
         If there are no triangles.
     """
-    mesh = meshio.read(Path(path))
+    with np.errstate(over="ignore"):  # meshio takes text in a .stl for a number at first
+        mesh = meshio.read(Path(path))
     triangles = [block.data for block in mesh.cells if block.type == "triangle"]
     if not triangles:
         kinds = sorted({block.type for block in mesh.cells})
