@@ -13,6 +13,7 @@ ALLOWED = {
     "treecode._mistakes": set(),
     "treecode._jit": {"treecode._fingerprint", "treecode._mistakes", "treecode.cache"},
     "treecode.check": set(),
+    "treecode.shown": set(),
     "treecode.version": set(),
     "treecode.cache": set(),
     "treecode._lanes": {"treecode._jit"},
@@ -178,13 +179,13 @@ ALLOWED = {
     },
     "mrs.output": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
-        "mrs.time.interrupts", "treecode.version",
+        "mrs.time.interrupts", "treecode.shown", "treecode.version",
         "mrs.run.simulation",  # its type
     },
     "mrs.run": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.observables",
         "mrs.output", "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks",
-        "treecode.version",
+        "treecode.shown", "treecode.version",
     },
     "mrs.run.signals": {"treecode.ranks"},
     "mrs.scenarios": set(),  # found by name
