@@ -148,7 +148,7 @@ ALLOWED = {
     "mrs.check": {"treecode.check"},
     "mrs.describe": set(),
     "mrs.markdown": set(),
-    "mrs.profile": {"mrs.markdown"},
+    "mrs.profile": {"mrs.markdown", "treecode.shown"},
     "mrs.registry": set(),
     "mrs.rotations": set(),
     "mrs.rigid_motion": {"mrs.rotations"},
@@ -159,7 +159,7 @@ ALLOWED = {
     "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
     "mrs.bodies": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",
-        "mrs.rotations", "mrs.time.state",
+        "mrs.rotations", "mrs.time.state", "treecode.shown",
     },
     "mrs.forces": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry", "mrs.time.state",

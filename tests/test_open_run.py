@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import mrs
+import treecode as tc
 from mrs.output import vtkhdf
 from mrs.output.export import export
 from mrs.output.series import ChangedError
+from mrs.output.stored import fluid_meta, stored_lattices
 from mrs.output.topology import Topology
 from mrs.output.trajectory import Trajectory
 
@@ -141,10 +143,16 @@ def test_export_leaves_a_run_as_it_is(finished):
 
 
 def test_shown_in_text_and_in_notebooks(finished):
-    run = mrs.open_run(finished[1])
+    sim, directory = finished
+    run = mrs.open_run(directory)
     assert "frames=6, t = 0 to 0.05" in repr(run)
     assert "shape=time:6 line:2 node:5 xyz:3" in repr(run["rods"].positions)
-    for thing in (run, run["rods"], run["rods"].positions, run.log):
+    assert repr(sim.bodies[0]) == "<Rods: name=rods, kind=rods, pieces=2, points=10>"
+    plan = tc.Plan(tc.Stokeslet(), "direct").set_points(TARGETS)
+    assert repr(plan) == "<Plan: kernel=Stokeslet(), backend=direct, sources=2, targets=2>"
+    assert repr(sim).startswith("<Simulation: t=0.05, steps=")
+    stored = (run, run["rods"], run["rods"].positions, run.log)
+    for thing in (*stored, sim, *sim.bodies, sim.profile, plan):
         assert thing._repr_html_().startswith("<table>")
         assert f"<caption>{type(thing).__name__}</caption>" in thing._repr_html_()
 
@@ -224,20 +232,23 @@ def test_only_what_is_asked_for_is_in_memory(wide):
     assert peak(lambda: np.asarray(positions)) < (FRAMES + 8) * frame
 
 
-def test_positions_of_periodic_runs_are_unwrapped(tmp_path):
-    """x = wrapped + image . lattice; of an image of 1e3 cells the sum is right to rounding."""
-    cell = np.array([[2.0, 0.0, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]])
+@pytest.mark.parametrize("rate", [0.0, 0.5], ids=["at rest", "sheared"])
+def test_positions_of_periodic_runs_are_unwrapped(tmp_path, rate):
+    """x = wrapped + image . lattice, of the lattice at that time; within a few cells to 1e-13."""
     path = tmp_path / "dust.vtkhdf"
-    meta = {"boundary kind": "periodic", "boundary cell": cell}
+    box = mrs.Periodic([[2.0, 0.0, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 3.0]])
+    meta = fluid_meta(mrs.Fluid(boundary=box, background=mrs.flows.shear(rate)), 1e-4)
     vtkhdf.create(path, Topology(np.arange(5), []), meta=meta)
     expected = np.random.default_rng(4).uniform(-9.0, 9.0, (3, 5, 3))
-    for time, points in enumerate(expected):
+    cells = stored_lattices(meta, range(3))
+    assert (np.ptp(cells, axis=0).max() > 0.4) == (rate > 0.0)
+    for time, (points, cell) in enumerate(zip(expected, cells, strict=True)):
         image = np.floor(points @ np.linalg.inv(cell)).astype(int)
         vtkhdf.append(path, float(time), points - image @ cell, {"image": image})
     dust = mrs.open_run(tmp_path)["dust"]
-    np.testing.assert_allclose(dust.positions, expected, rtol=1e-13)
-    np.testing.assert_allclose(dust.positions[1:, 3:, 1], expected[1:, 3:, 1], rtol=1e-13)
-    wrapped = dust.wrapped_positions[...] @ np.linalg.inv(cell)
+    np.testing.assert_allclose(dust.positions, expected, rtol=1e-13, atol=1e-13)
+    np.testing.assert_array_equal(dust.positions[1:, 3:, 1], dust.positions[...][1:, 3:, 1])
+    wrapped = dust.wrapped_positions[...] @ np.linalg.inv(cells)
     assert ((wrapped > -1e-12) & (wrapped < 1.0 + 1e-12)).all()
     np.testing.assert_array_equal(
         mrs.observables.tracks(tmp_path, "dust").positions, np.asarray(dust.positions)
