@@ -35,6 +35,7 @@ from mrs.profile import Profile
 from mrs.resistance_matrix import resistance
 from mrs.run.failures import SimulationError
 from mrs.run.info import info
+from mrs.run.opened import Run, open_run
 from mrs.run.resuming import restart, resume
 from mrs.run.scenario import Check, Scenario, ScenarioError
 from mrs.run.simulation import Simulation
@@ -79,6 +80,7 @@ __all__ = [
     "Profile",
     "Rigid",
     "Rods",
+    "Run",
     "Scenario",
     "ScenarioError",
     "Scene",
@@ -105,6 +107,7 @@ __all__ = [
     "info",
     "lattice_suspension",
     "observables",
+    "open_run",
     "random_suspension",
     "resistance",
     "restart",

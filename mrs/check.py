@@ -40,6 +40,7 @@ __all__ = [
     "instance",
     "instances",
     "integer",
+    "key",
     "nearest",
     "not_negative",
     "number",
@@ -114,6 +115,14 @@ def instances(name: str, values: Any, kind: type) -> tuple[Any, ...]:
             f"got {short.repr(values)}"
         )
     return tuple(instance(f"{name}[{i}]", value, kind) for i, value in enumerate(values))
+
+
+def key(name: str, value: Any, allowed: Iterable[str]) -> str:
+    """Return `value` if it is one of the names `allowed`; KeyError, as mappings raise it."""
+    try:
+        return one_of(name, value, allowed)
+    except ValueError as error:
+        raise KeyError(str(error)) from None
 
 
 def function(name: str, value: Any, of: str) -> Any:

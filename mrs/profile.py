@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import NamedTuple
 
 from mrs import markdown
+from treecode.shown import Shown
 
 STAGES = {
     "start": "the first evaluation: compiling, or loading compiled code; choosing backends",
@@ -51,7 +52,7 @@ class Row(NamedTuple):
     pairs: int | None
 
 
-class Profile:
+class Profile(Shown):
     """Seconds by stage (`STAGES`), of all that a simulation has done so far.
 
     Stages may be open within others. The time of the inner one does not count for the outer one
@@ -142,6 +143,9 @@ class Profile:
             lines.append(cells)
         lines.append(["all", f"{total:.3f}", "100.0", "", ""])
         return "\n".join(markdown.table(("stage", "seconds", "%", "pairs", "meaning"), lines))
+
+    def shown(self) -> dict[str, str]:
+        return {row.stage: f"{row.seconds:.3g} s" for row in self.rows()}
 
     def csv(self) -> str:
         """Return the same for programs: stage, seconds, pairs."""

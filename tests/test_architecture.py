@@ -13,6 +13,7 @@ ALLOWED = {
     "treecode._mistakes": set(),
     "treecode._jit": {"treecode._fingerprint", "treecode._mistakes", "treecode.cache"},
     "treecode.check": set(),
+    "treecode.shown": set(),
     "treecode.version": set(),
     "treecode.cache": set(),
     "treecode._lanes": {"treecode._jit"},
@@ -147,7 +148,7 @@ ALLOWED = {
     "mrs.check": {"treecode.check"},
     "mrs.describe": set(),
     "mrs.markdown": set(),
-    "mrs.profile": {"mrs.markdown"},
+    "mrs.profile": {"mrs.markdown", "treecode.shown"},
     "mrs.registry": set(),
     "mrs.rotations": set(),
     "mrs.rigid_motion": {"mrs.rotations"},
@@ -158,7 +159,7 @@ ALLOWED = {
     "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
     "mrs.bodies": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",
-        "mrs.rotations", "mrs.time.state",
+        "mrs.rotations", "mrs.time.state", "treecode.shown",
     },
     "mrs.forces": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.registry", "mrs.time.state",
@@ -178,13 +179,13 @@ ALLOWED = {
     },
     "mrs.output": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.output", "mrs.registry",
-        "mrs.time.interrupts", "treecode.version",
+        "mrs.time.interrupts", "treecode.shown", "treecode.version",
         "mrs.run.simulation",  # its type
     },
     "mrs.run": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.observables",
         "mrs.output", "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks",
-        "treecode.version",
+        "treecode.shown", "treecode.version",
     },
     "mrs.run.signals": {"treecode.ranks"},
     "mrs.scenarios": set(),  # found by name

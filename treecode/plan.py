@@ -24,6 +24,7 @@ from treecode.methods.direct import EXACT
 from treecode.methods.registry import AUTO, Choice
 from treecode.ranks import in_step, ranks_of
 from treecode.shared_sum import made, require_all_or_none, require_spread, spread
+from treecode.shown import Shown
 from treecode.threads import thread_count
 
 
@@ -32,7 +33,7 @@ def backends() -> tuple[str, ...]:
     return AUTO, *registry.names()
 
 
-class Plan:
+class Plan(Shown):
     """A sum over fixed points: ``out(x_i) = sum_j K(x_i, y_j) q_j``.
 
     Parameters
@@ -65,8 +66,7 @@ class Plan:
         1e-5 for "auto", the fast multipole method and Ewald's. The sum is chosen at the first
         `execute`, which samples its error, and stays for as many points and any strengths as long
         as a few targets, at which every longer `execute` looks, show no larger error; or until
-        `refine` samples it again. Periodic sums are sampled by the first `execute` and by `refine`
-        alone.
+        `refine` samples it again. Periodic sums are sampled by the first `execute` and `refine`.
         The fast multipole method by name with a `degree` only aims at it.
     progress : bool, optional
         Show a progress bar while summing.
@@ -393,18 +393,20 @@ class Plan:
         `bytes` is what the plan holds between calls, `received_bytes` what other ranks have sent.
         """
         self._require_points()
-        sources, targets = self._counts
         of_sum = {"near_pairs": None, "far_pairs": None} if self._sum is None else self._sum.info()
         return {
             "kernel": self.kernel,
             "backend": self._choice.backend if self._choice else self.backend,
             "threads": thread_count(),
-            "sources": sources,
-            "targets": targets,
+            **dict(zip(("sources", "targets"), self._counts, strict=True)),
             **of_sum,
             **({"tol": self._search.tol} if self._search else {}),
             "seconds": dict(self._sum.seconds) if self._sum else {},
         }
+
+    def shown(self) -> dict[str, Any]:
+        counts = dict(zip(("sources", "targets"), self._counts, strict=True))
+        return {"kernel": self.kernel, "backend": self.choice or self.backend, **counts}
 
     @one_at_a_time
     @in_step

@@ -12,9 +12,10 @@ from mrs.bodies.noise import Noise
 from mrs.describe import described, own_code
 from mrs.rigid_motion import GivenMotion, Mounted
 from mrs.time.state import Arrays, State
+from treecode.shown import Shown
 
 
-class Body:
+class Body(Shown):
     """Material points in the fluid, some of which carry a triad.
 
     A body owns a slice of the state: `positions`, (n, 3), which move with a velocity, and
@@ -134,3 +135,8 @@ class Body:
         has. They are the fields by default.
         """
         return at_points, {}
+
+    def shown(self) -> dict[str, Any]:
+        points = self.points(0.0, State(self.positions, self.quaternions))
+        pieces = len(np.unique(self.pieces()))
+        return {"name": self.name, "kind": self.kind, "pieces": pieces, "points": len(points)}

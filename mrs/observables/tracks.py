@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import os
 from typing import NamedTuple
 
 import numpy as np
 
 from mrs import check
-from mrs.fluid import Periodic
 from mrs.output.frames import trajectory_paths
-from mrs.output.stored import StoredFrame, stored_boundary
+from mrs.output.stored import StoredFrame, stored_lattices
 from mrs.output.trajectory import Trajectory
 
 _DIRECTIONS = ("orientation", "d3")  # of swimmers, of nodes of rods
@@ -32,12 +30,12 @@ class Tracks(NamedTuple):
     of the first frame."""
 
 
-def tracks(directory: str | Path, body: str) -> Tracks:
+def tracks(directory: str | os.PathLike[str], body: str) -> Tracks:
     """Return positions and directions of a body in all frames of a run.
 
     Parameters
     ----------
-    directory : path
+    directory : path or Run
         Of the run, which may still go on.
     body : str
         Its name.
@@ -54,9 +52,9 @@ def tracks(directory: str | Path, body: str) -> Tracks:
         if not len(file):
             raise ValueError(f"{file.path} has no frame yet")
         times = file.times
-        boxes = [stored_boundary(file.meta, time) for time in times]
-        lattices = [box.vectors if isinstance(box, Periodic) else None for box in boxes]
-        frames = [_frame(file, i, lattice) for i, lattice in enumerate(lattices)]
+        lattices = stored_lattices(file.meta, times)
+        cells = [None] * len(times) if lattices is None else lattices
+        frames = [_frame(file, i, cell) for i, cell in enumerate(cells)]
     positions, directions = zip(*frames, strict=True)
     known = directions[0] is not None
     return Tracks(
@@ -64,21 +62,21 @@ def tracks(directory: str | Path, body: str) -> Tracks:
     )
 
 
-def _common(lattices: Sequence[np.ndarray | None]) -> np.ndarray | None:
+def _common(lattices: np.ndarray | None) -> np.ndarray | None:
     """Return the lattices of all frames, or one if they are equal; None if there are none."""
-    cells = [lattice for lattice in lattices if lattice is not None]
-    if not cells:
+    if lattices is None:
         return None
-    return cells[0] if np.ptp(cells, axis=0).max() == 0.0 else np.stack(cells)
+    return lattices[0] if np.ptp(lattices, axis=0).max() == 0.0 else lattices
 
 
-def frame_loads(directory: str | Path, frame: int = -1) -> tuple[np.ndarray, np.ndarray]:
+def frame_loads(
+    directory: str | os.PathLike[str], frame: int = -1
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the points that put loads on the fluid in a frame, (n, 3), and the loads, (n, 6).
 
     Parameters
     ----------
-    directory : path
-        Of the run.
+    directory : path or Run
     frame : int, optional
         Its number; the last by default.
 

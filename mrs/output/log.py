@@ -65,7 +65,7 @@ def times(path: str | os.PathLike[str]) -> list[float]:
         If it is not a log; the message names the line.
     """
     path = Path(path)
-    return _times(path, _lines(path))
+    return _times(path, complete_lines(path))
 
 
 def _times(path: Path, lines: list[list[str]]) -> list[float]:
@@ -112,7 +112,7 @@ def cut(path: str | os.PathLike[str], time: float) -> float | None:
     path = Path(path)
     if not path.exists():
         return None
-    lines = _lines(path)
+    lines = complete_lines(path)
     header, *rows = lines or [[]]
     pairs = zip(rows, _times(path, lines), strict=True)
     left = [(row, t) for row, t in pairs if t <= time or _same(t, time)]
@@ -133,11 +133,11 @@ def last(path: str | os.PathLike[str]) -> dict[str, Any]:
     ----------
     path : path
     """
-    header, *rows = _lines(Path(path)) or [[]]
+    header, *rows = complete_lines(Path(path)) or [[]]
     return dict(zip(header, map(_value, rows[-1]), strict=False)) if rows else {}
 
 
-def _lines(path: Path) -> list[list[str]]:
+def complete_lines(path: Path) -> list[list[str]]:
     """Return the cells of the complete lines; none if there is no file."""
     if not path.exists():
         return []
@@ -225,7 +225,7 @@ class LogFile(FrameFile):
             raise ValueError(f"columns must have different headings, got twice {sorted(twice)}")
 
     def times(self, sim: Simulation) -> list[float]:
-        lines = _lines(self.path)
+        lines = complete_lines(self.path)
         found = _times(self.path, lines)
         if found and lines[0] != self._headings:
             has, wanted = ", ".join(lines[0]), ", ".join(self._headings)

@@ -204,7 +204,7 @@ def set_aside(path: Path) -> None:
         path.rename(other)
 
 
-def read(directory: str | Path) -> dict[str, Any]:
+def read(directory: str | os.PathLike[str]) -> dict[str, Any]:
     """Return config.toml.
 
     Parameters

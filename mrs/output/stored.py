@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, fields, is_dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mrs import check
-from mrs.fluid import BOUNDARIES, Backend, Fluid, Mobility
+from mrs.fluid import BOUNDARIES, Backend, Fluid, Mobility, Periodic
 from mrs.fluid.flows import Flow, QuadraticFlow
 from mrs.fluid.mobility import DIRECT, Boundary, FreeSpace
 from mrs.fluid.sheared import carried
@@ -77,6 +77,20 @@ def _stored_background(meta: Mapping[str, Any]) -> QuadraticFlow | None:
     return QuadraticFlow(**{name: meta[f"background {name}"] for name in _FLOW})
 
 
+def stored_lattices(meta: Mapping[str, Any], times: Iterable[float]) -> np.ndarray | None:
+    """Return the lattice vectors of a periodic run at some times, (T, 3, 3), in rows.
+
+    Parameters
+    ----------
+    meta : dict
+        Of a trajectory.
+    times : (T,) float ndarray
+    """
+    boxes = [stored_boundary(meta, time) for time in times]
+    lattices = [box.vectors for box in boxes if isinstance(box, Periodic)]
+    return np.stack(lattices) if lattices else None
+
+
 class FieldError(NamedTuple):
     """How far a velocity that was computed from a frame may be off."""
 
@@ -128,7 +142,7 @@ class StoredFrame:
 
     def __init__(
         self,
-        directory: str | Path,
+        directory: str | os.PathLike[str],
         frame: int = -1,
         background: Flow | None = None,
         boundary: Boundary | None = None,

@@ -11,7 +11,15 @@ import numpy as np
 
 from mrs.output.atomic import DamagedError
 from mrs.output.hdf5 import File
-from mrs.output.vtkhdf_layout import ROWS, root_of, times_of, topology_of
+from mrs.output.vtkhdf_layout import (
+    ROWS,
+    Layout,
+    constant_of,
+    layout_of,
+    root_of,
+    times_of,
+    topology_of,
+)
 
 _REMEDY = (
     "; put back a copy, or let `mrs resume DIRECTORY --renew-files` begin the file anew from the "
@@ -36,6 +44,9 @@ class Trajectory:
     times : (frames,) float64 ndarray
     meta : dict
         As given to `create`.
+    varying : dict
+        Shape in one frame, and type, of the arrays that vary, by name in the file, such as
+        "PointData/force".
 
     Raises
     ------
@@ -59,6 +70,7 @@ class Trajectory:
                 self.topology = topology_of(self._root)
                 self.times = times_of(self._root)
                 self.size = int(self._root["Points"].attrs[ROWS]) if len(self.times) else 0
+                self.varying: Layout = layout_of(self._root)
                 self.meta = {key: _plain(value) for key, value in self._file["meta"].attrs.items()}
                 stack.pop_all()  # it stays open
         except (KeyError, OSError, RuntimeError, ValueError) as error:
@@ -79,6 +91,11 @@ class Trajectory:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    @property
+    def constant(self) -> dict[str, np.ndarray]:
+        """The arrays that do not vary, by name in the file."""
+        return constant_of(self._root)
 
     def points(self, i: int) -> np.ndarray:
         """Return the positions in a frame, (n, 3).

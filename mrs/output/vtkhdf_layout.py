@@ -77,6 +77,17 @@ def layout_of(root: h5py.Group) -> Layout:
     }
 
 
+def constant_of(root: h5py.Group) -> dict[str, np.ndarray]:
+    """Return the arrays that are the same in all frames, by name.
+
+    Parameters
+    ----------
+    root : h5py.Group
+    """
+    arrays = {f"{group}/{name}": array for group in DATA for name, array in root[group].items()}
+    return {name: array[:] for name, array in arrays.items() if ROWS not in array.attrs}
+
+
 def topology_of(root: h5py.Group) -> Topology:
     """Return the vertices and lines of all frames.
 

@@ -1,12 +1,14 @@
-"""Steps after which a run cannot go on, and the errors that tell the user."""
+"""Steps and files after which a run cannot go on, and the errors that tell the user."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mrs import check
+from mrs.output import run_directory
 from mrs.time.state import State
 from mrs.time.stepper import NotFiniteError, StepSizeError
 
@@ -16,6 +18,28 @@ if TYPE_CHECKING:
 
 class SimulationError(RuntimeError):
     """A run that cannot go on; the message says where and why."""
+
+
+def require_whole_files(sim: Simulation, directory: Path, renew_files: bool) -> None:
+    """Look at all files of a resumed run before any of them is touched.
+
+    Those that are missing or damaged are refused, or set aside to be begun anew.
+    """
+    damaged: dict[Path, str] = {}
+    for tracker in sim.trackers:
+        damaged |= tracker.damaged_files(sim)
+    if damaged and not renew_files:
+        lines = [f"{path} {fault}" for path, fault in damaged.items()]
+        raise SimulationError(
+            f"the run cannot go on from t = {sim.time:g}; nothing was changed\n  "
+            + "\n  ".join(lines)
+            + "\nput back what is missing or wrong, or let it begin anew from here with "
+            f"`mrs resume {directory} --renew-files` (run(..., renew_files=True)); damaged "
+            "files are then kept beside the new ones"
+        )
+    for path in damaged:
+        run_directory.set_aside(path)
+        sim.written.pop(path.name, None)
 
 
 def require_whole(sim: Simulation, state: State) -> None:

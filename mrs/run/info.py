@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from mrs.output.frame_files import BodyFile
 from mrs.run.scenario_files import load_plugins
 
 
-def info(directory: str | Path) -> dict[str, Any]:
+def info(directory: str | os.PathLike[str]) -> dict[str, Any]:
     """Return the state of a run, also while it goes on.
 
     Parameters

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
@@ -14,7 +15,7 @@ from mrs.run.scenario_files import make, read_input
 from mrs.run.simulation import Simulation
 
 
-def scenario_of(directory: str | Path) -> Scenario:
+def scenario_of(directory: str | os.PathLike[str]) -> Scenario:
     """Return the scenario of a run.
 
     Raises
@@ -31,7 +32,7 @@ def scenario_of(directory: str | Path) -> Scenario:
 
 
 def resume(
-    directory: str | Path,
+    directory: str | os.PathLike[str],
     t_end: float | None = None,
     trackers: Iterable[Tracker] = (),
     *,

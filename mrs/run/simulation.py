@@ -23,13 +23,14 @@ from mrs.output.options import Output
 from mrs.output.trackers import Tracker
 from mrs.profile import Profile
 from mrs.run import signals
-from mrs.run.failures import SimulationError, explained, require_whole
+from mrs.run.failures import SimulationError, explained, require_whole, require_whole_files
 from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import Arrays, State, below
 from mrs.time.stepper import Integrator, Stepper, System, Watched
 from treecode.ranks import OneRank
+from treecode.shown import Shown
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
@@ -41,7 +42,7 @@ _SAID_ELSEWHERE = ("t_end", "backend", "integrator", "plugins", "observables", *
 
 
 @check.spelling
-class Simulation:
+class Simulation(Shown):
     """Bodies in a viscous fluid, and their motion in time.
 
     Parameters
@@ -269,6 +270,13 @@ class Simulation:
         if changed <= {"integrator"}:
             self.scene.restore(below(arrays, _SCENE), values["evaluation"])
 
+    def shown(self) -> dict[str, Any]:
+        reached = {"t": f"{self.time:g}", "steps": self.stepper.steps}
+        names = " ".join(body.name for body in self.bodies)
+        scene = {"bodies": names, "points": self.scene.layout.count}
+        numerics = {"backend": self.backend.name, "integrator": self.integrator.name}
+        return reached | scene | numerics | {"output": self.output and self.output.directory}
+
     def step(self, stop: float) -> None:
         """Take one accepted step, not beyond time `stop`.
 
@@ -356,7 +364,7 @@ class Simulation:
         stack.enter_context(run_directory.held(directory))
         files = [file for tracker in self.trackers for file in tracker.output_files(self)]
         if self.resumed:
-            self._require_whole_files(directory, renew_files)
+            require_whole_files(self, directory, renew_files)
             run_directory.extend(directory, self.t_end, files)
         else:
             self.written.clear()
@@ -369,24 +377,6 @@ class Simulation:
         """Leave nothing of a start that failed before its first checkpoint and frame."""
         if not self.written and not (directory / run_directory.CHECKPOINT).exists():
             run_directory.discard(directory)
-
-    def _require_whole_files(self, directory: Path, renew_files: bool) -> None:
-        """Look at all files before any of them is touched."""
-        damaged: dict[Path, str] = {}
-        for tracker in self.trackers:
-            damaged |= tracker.damaged_files(self)
-        if damaged and not renew_files:
-            lines = [f"{path} {fault}" for path, fault in damaged.items()]
-            raise SimulationError(
-                f"the run cannot go on from t = {self.time:g}; nothing was changed\n  "
-                + "\n  ".join(lines)
-                + "\nput back what is missing or wrong, or let it begin anew from here with "
-                f"`mrs resume {directory} --renew-files` (run(..., renew_files=True)); damaged "
-                "files are then kept beside the new ones"
-            )
-        for path in damaged:
-            run_directory.set_aside(path)
-            self.written.pop(path.name, None)
 
     def _run(self, max_walltime: float | None, stopping: signals.Stopping) -> None:
         begun: list[Tracker] = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +29,7 @@ class Field(NamedTuple):
 
 
 def frame_velocity(
-    directory: str | Path,
+    directory: str | os.PathLike[str],
     frame: int = -1,
     background: Flow | None = None,
     boundary: Boundary | None = None,
@@ -68,10 +69,10 @@ def frame_velocity(
 
 
 def write_field(
-    directory: str | Path,
+    directory: str | os.PathLike[str],
     frame: int = -1,
     resolution: int = 40,
-    destination: str | Path | None = None,
+    destination: str | os.PathLike[str] | None = None,
 ) -> Field:
     """Write the velocity on a grid around the bodies, and streamlines, from a stored frame.
 
@@ -129,7 +130,7 @@ def write_field(
 
 
 def _stored(
-    directory: str | Path,
+    directory: str | os.PathLike[str],
     frame: int,
     background: Flow | None = None,
     boundary: Boundary | None = None,
