@@ -84,7 +84,7 @@ def kill_on_its_way(process, checkpoint_file, delay):
 def test_killed_and_resumed_run_is_bitwise_the_same(tmp_path):
     """20 kills -9 at random moments, with a checkpoint after every step."""
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    options = ["--set", "checkpoint_seconds=0", "--set", "t_end=1.0"]
+    options = ["--set", "checkpoint_seconds=0", "--set", "t_end=0.4"]
     assert cli.main(["run", str(SCENE), "--output", str(whole), *options]) == 0
     moments = random.Random(0)
     steps = []
