@@ -48,7 +48,7 @@ def finished(name):
 
 def alone(sim):
     """Return the motion of a blob alone in the fluid, physics.md 2."""
-    epsilon, viscosity = sim.fluid.epsilon, sim.fluid.viscosity
+    epsilon, viscosity = sim.scene.epsilons[0], sim.fluid.viscosity
     return Drag(
         1.0 / (4.0 * np.pi * viscosity * epsilon), 5.0 / (16.0 * np.pi * viscosity * epsilon**3)
     )
@@ -64,7 +64,7 @@ def slender(sim):
     pieces = body.pieces().max() + 1
     length = body.length_scale
     piece = length * pieces / sim.scene.layout.point_count(body)
-    radius = sim.fluid.epsilon / np.sqrt(np.e)
+    radius = sim.scene.epsilons[0] / np.sqrt(np.e)
     across = 4.0 * np.pi * sim.fluid.viscosity / (np.log(length / radius) + 0.5)
     about = 4.0 * np.pi * sim.fluid.viscosity * radius**2
     return Drag(1.0 / (across * piece), 1.0 / (about * piece))
