@@ -45,7 +45,8 @@ class Springs(Force):
     Notes
     -----
     In a periodic box a spring goes to that image of its end which is nearest at time zero, and
-    stays with it, however far the ends move. Positions of a state are not wrapped into the box.
+    stays with it, however far the ends move, and where a shear flow carries the box. Positions of a
+    state are not wrapped into the box.
     """
 
     kind = "springs"
@@ -82,7 +83,7 @@ class Springs(Force):
     def forces(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> np.ndarray:
         """Return the force on each point, (F, 3)."""
         starts, ends = self._rows(layout)
-        between, extension = self._stretched(points, layout, fluid)
+        between, extension = self._stretched(time, points, layout, fluid)
         length = np.linalg.norm(between, axis=1)
         pull = (self.stiffness * extension / np.where(length > 0.0, length, 1.0))[:, None] * between
         forces = np.zeros_like(points)
@@ -92,19 +93,20 @@ class Springs(Force):
 
     def energy(self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid) -> float:
         """Return the sum of ``1/2 stiffness (r - rest_length)^2``."""
-        _, extension = self._stretched(points, layout, fluid)
+        _, extension = self._stretched(time, points, layout, fluid)
         return float(0.5 * self.stiffness @ extension**2)
 
     def _stretched(
-        self, points: np.ndarray, layout: Layout, fluid: Fluid
+        self, time: float, points: np.ndarray, layout: Layout, fluid: Fluid
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps from starts to ends, (springs, 3), and how far they are extended."""
         between, initial = (
             self._between(x, layout) for x in (points, layout.initial_points[layout.forced])
         )
         if isinstance(fluid.boundary, Periodic):
-            nearest = _nearest(initial, fluid.boundary.vectors)
-            between, initial = between + (nearest - initial), nearest
+            nearest = _nearest(initial, fluid.boundary)
+            between = between + fluid.carried(nearest - initial, time)
+            initial = nearest
         at_rest = self.rest_length
         if isinstance(at_rest, str):
             at_rest = np.linalg.norm(initial, axis=1)
@@ -149,10 +151,10 @@ def _end(name: str, value: Any) -> Point | tuple[float, ...]:
     return tuple(check.vector(name, value).tolist())
 
 
-def _nearest(between: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _nearest(between: np.ndarray, box: Periodic) -> np.ndarray:
     """Return steps to the nearest images, (n, 3), in a lattice."""
-    near = between - np.round(between @ np.linalg.inv(vectors)) @ vectors
-    shifts = np.array(list(itertools.product((0.0, -1.0, 1.0), repeat=3))) @ vectors
-    images = near[:, None] + shifts  # in a skewed cell another one may be nearer
-    closest = np.argmin(np.linalg.norm(images, axis=2), axis=1)
+    near = between - np.round(box.places(between)) @ box.vectors
+    around = itertools.product((0.0, -1.0, 1.0), repeat=len(box.vectors))
+    images = near[:, None] + np.array(list(around)) @ box.vectors
+    closest = np.argmin(np.linalg.norm(images, axis=2), axis=1)  # in a skewed cell others may be
     return np.asarray(images[np.arange(len(near)), closest])
