@@ -127,6 +127,27 @@ def test_images_of_bodies_move_apart_as_the_lattice_does():
     assert np.abs(drift[:, 2]).max() > 0.1  # they are no part of the flow alone
 
 
+@pytest.mark.parametrize("axes", ["xyz", "xy"])
+def test_springs_join_images_that_move(axes):
+    """A spring to the next box is one to the image of a body there, which moves with the flow."""
+    flow = mrs.flows.shear(RATE, gradient=(0.0, 1.0, 0.0))
+    fluid = mrs.Fluid(boundary=mrs.Periodic(CUBE[: len(axes)], axes), background=flow)
+    spring = mrs.Springs([("swimmers", 0)], [("swimmers", 1)], stiffness=2.0)
+    x, p = np.array([[0.2, 0.1, 0.1], [0.5, 2.9, 0.4]]), np.array([[0, 0, 1.0], [0, 0, 1.0]])
+    t, forces = 0.9 / RATE, []
+    for image in (0.0, 1.0):
+        away = image * np.array([[0.0, 0.0, 0.0], CUBE[1]])
+        swimmers = mrs.Swimmers(x - away, p, length=0.3, force=1.0, epsilon=0.1)
+        layout = mrs.Simulation(fluid, [swimmers], forces=[spring]).scene.layout
+        points = layout.initial_points - np.tile(t * away @ flow.gradient.T, (2, 1))
+        forces.append(spring.forces(t, points, layout, fluid))
+    step = x[1] - x[0] - moved(CUBE, flow, t)[1]
+    extension = np.linalg.norm(step) - np.linalg.norm(x[1] - x[0] - CUBE[1])
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-14)
+    expected = 2.0 * extension * step / np.linalg.norm(step)
+    np.testing.assert_allclose(forces[0][:2], [expected, -expected], atol=1e-14)
+
+
 def test_contacts_need_room_in_the_box_at_its_lowest():
     """A cube of edge 1.25 has room for a reach of 0.6, but not when it is inclined by a half."""
     swimmers = mrs.Swimmers([[0.1, 0.1, 0.1]], [[0, 0, 1]], length=0.3, force=1.0, epsilon=0.1)

@@ -75,6 +75,11 @@ class Fluid:
         """Return the boundary where it is at a time; only boxes in a shear flow move."""
         return carried(self.boundary, self.background, time)
 
+    def carried(self, vectors: np.ndarray, time: float) -> np.ndarray:
+        """Return vectors of the lattice, (N, 3), of time 0, where they are at a time."""
+        flow = self.background
+        return vectors + time * vectors @ flow.gradient.T if is_linear(flow) else vectors
+
     @property
     def narrowest_boundary(self) -> Boundary:
         """The boundary when the cell of a box is the lowest: a shear flow inclines it."""

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike
 from mrs import check
 from mrs.bodies.layout import Layout
 from mrs.fluid import Fluid, Periodic
-from mrs.fluid.sheared import is_linear
 from mrs.forces.base import Force
 
 Point = tuple[str, int]  # name of a body, and number of a point
@@ -46,8 +45,8 @@ class Springs(Force):
     Notes
     -----
     In a periodic box a spring goes to that image of its end which is nearest at time zero, and
-    stays with it, however far the ends move. Positions of a state are not wrapped into the box. A
-    shear flow carries images along.
+    stays with it, however far the ends move, and where a shear flow carries the box. Positions of a
+    state are not wrapped into the box.
     """
 
     kind = "springs"
@@ -105,10 +104,9 @@ class Springs(Force):
             self._between(x, layout) for x in (points, layout.initial_points[layout.forced])
         )
         if isinstance(fluid.boundary, Periodic):
-            shift = _to_nearest(initial, fluid.boundary)
-            between, initial = between + shift, initial + shift
-            if is_linear(fluid.background):
-                between += time * shift @ fluid.background.gradient.T
+            nearest = _nearest(initial, fluid.boundary)
+            between = between + fluid.carried(nearest - initial, time)
+            initial = nearest
         at_rest = self.rest_length
         if isinstance(at_rest, str):
             at_rest = np.linalg.norm(initial, axis=1)
@@ -153,10 +151,10 @@ def _end(name: str, value: Any) -> Point | tuple[float, ...]:
     return tuple(check.vector(name, value).tolist())
 
 
-def _to_nearest(between: np.ndarray, box: Periodic) -> np.ndarray:
-    """Return sums of lattice vectors, (n, 3), that lead from steps to their nearest images."""
-    near = -np.round(box.places(between))
-    around = np.array(list(itertools.product((0.0, -1.0, 1.0), repeat=len(box.vectors))))
-    shifts = (near[:, None] + around) @ box.vectors  # in a skewed cell a neighbour may be nearer
-    closest = np.argmin(np.linalg.norm(between[:, None] + shifts, axis=2), axis=1)
-    return np.asarray(shifts[np.arange(len(near)), closest])
+def _nearest(between: np.ndarray, box: Periodic) -> np.ndarray:
+    """Return steps to the nearest images, (n, 3), in a lattice."""
+    near = between - np.round(box.places(between)) @ box.vectors
+    around = itertools.product((0.0, -1.0, 1.0), repeat=len(box.vectors))
+    images = near[:, None] + np.array(list(around)) @ box.vectors
+    closest = np.argmin(np.linalg.norm(images, axis=2), axis=1)  # in a skewed cell others may be
+    return np.asarray(images[np.arange(len(near)), closest])
