@@ -16,6 +16,7 @@ from mrs.output.series import ChangedError
 from mrs.output.stored import fluid_meta, stored_lattices
 from mrs.output.topology import Topology
 from mrs.output.trajectory import Trajectory
+from mrs.run import cli
 
 ROOT = Path(__file__).parents[1]
 TARGETS = np.array([[0.0, 0.0, 2.0], [1.0, -3.0, 0.5]])
@@ -363,3 +364,42 @@ def test_what_to_install(finished, monkeypatch):
     for read in (run.to_xarray, run.log.to_pandas):
         with pytest.raises(ImportError, match=r"pip install 'mrs-treecode\[analysis\]'"):
             read()
+
+
+def test_plane_of_the_field(finished, capsys):
+    """A plane of a grid that has the spacing of the box, with the velocities of the simulation."""
+    import pyvista as pv
+
+    sim, directory = finished
+    folder = directory / "plane"
+    command = ["field", str(directory), "--plane", "z=0.75", "--resolution", "6"]
+    assert cli.main([*command, "--output", str(folder)]) == 0
+    assert [path.name for path in folder.iterdir()] == ["field.vti"]
+    image = pv.read(folder / "field.vti")
+    assert image.dimensions[2] == 1
+    assert max(image.dimensions) == 6
+    np.testing.assert_array_equal(image.points[:, 2], 0.75)
+    np.testing.assert_allclose(image["velocity"], sim.velocity(image.points), rtol=0, atol=1e-5)
+    for wrong in ("z", "w=1", "z=one", "z=1,2"):
+        with pytest.raises(SystemExit):
+            cli.main([*command[:2], "--plane", wrong])
+        assert "must be an axis and a number as in z=0.5" in capsys.readouterr().err
+
+
+def test_columns_of_the_log_as_curves(finished, capsys):
+    _, directory = finished
+    assert cli.main(["plot", str(directory)]) == 0
+    assert (directory / "log.png").read_bytes().startswith(b"\x89PNG")
+    assert "log.png" in (directory / "files.txt").read_text().split()
+    destination = directory / "steps.svg"
+    assert (
+        cli.main(["plot", str(directory), "--columns", "step", "--output", f"{destination}"]) == 0
+    )
+    assert "<svg" in destination.read_text()
+    capsys.readouterr()
+    assert cli.main(["plot", str(directory), "--columns", "backends"]) == 1
+    assert "columns must be one of 'step', 't', 'dt'" in capsys.readouterr().err
+    assert cli.main(["plot", str(directory), "--output", "log.txt"]) == 1
+    assert "destination must end in .png, .svg, .pdf, got log.txt" in capsys.readouterr().err
+    assert cli.main(["plot", str(directory / "nothing")]) == 1
+    assert "has no log.csv with rows" in capsys.readouterr().err

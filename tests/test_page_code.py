@@ -17,6 +17,7 @@ REASONS = {
     "installs": "in an empty environment, as .ci/run does",
     "hours": "of benchmarks",
     "elsewhere": "with a program that the tests do not install",
+    "extra": "with packages that not all have, as in tests/test_open_run.py",
     "ranks": "in several processes, as in tests/test_ranks.py",
 }
 RUN = {"bash", "python", "toml"}

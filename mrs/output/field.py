@@ -16,6 +16,7 @@ from mrs.output.vtp import write_xml
 if TYPE_CHECKING:
     import pyvista as pv
 
+AXES = ("x", "y", "z")
 _ROOM = 0.2  # on each side of the box of the points, in lengths of its longest side
 
 
@@ -43,14 +44,16 @@ class Grid(NamedTuple):
         return self.origin + self.spacing * np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1)
 
 
-def grid_around(points: ArrayLike, resolution: int) -> Grid:
+def grid_around(points: ArrayLike, resolution: int, plane: tuple[str, float] | None = None) -> Grid:
     """Return a grid around points, centred on their box, with room on each side of it.
 
     Parameters
     ----------
     points : (n, 3) array_like
     resolution : int
-        Number of grid points along the longest side, at least 2.
+        Number of grid points along the longest side of the box, at least 2.
+    plane : (axis, place), optional
+        In place of the whole grid one plane, such as ("z", 0.5).
 
     Raises
     ------
@@ -67,8 +70,12 @@ def grid_around(points: ArrayLike, resolution: int) -> Grid:
     spacing = float(size.max()) / (resolution - 1)
     if spacing == 0:
         raise ValueError("points must not coincide")
-    nx, ny, nz = (int(np.ceil(side / spacing * (1 - 1e-12))) + 1 for side in size)
-    corner = (low + high - spacing * (np.array([nx, ny, nz]) - 1)) / 2
+    counts = np.ceil(size / spacing * (1 - 1e-12)).astype(int) + 1
+    corner = (low + high - spacing * (counts - 1)) / 2
+    if plane is not None:
+        axis = AXES.index(plane[0])
+        counts[axis], corner[axis] = 1, plane[1]
+    nx, ny, nz = counts.tolist()
     return Grid(corner, spacing, (nx, ny, nz))
 
 

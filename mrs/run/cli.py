@@ -1,20 +1,18 @@
-"""The command line: run, resume, info, export, render, field, check."""
+"""The command line: run, resume, info, export, render, plot, field, check."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 import traceback
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from mrs.output.run_directory import tomllib
 from mrs.output.trackers import Tracker
-from mrs.run import scenario_files, signals
+from mrs.run import argument_types, scenario_files, signals
 from mrs.run.info import info
 from mrs.run.reports import ProfileTable, Progress
 from mrs.run.resuming import resume, scenario_of
@@ -122,35 +120,6 @@ def _parser() -> argparse.ArgumentParser:
         for flags, settings in arguments.items():
             command.add_argument(*flags.split(), **settings)
     return parser
-
-
-def _camera(text: str) -> list[float]:
-    numbers = _numbers(text, float, ",")
-    if len(numbers) != 9 or not all(map(math.isfinite, numbers)):
-        raise argparse.ArgumentTypeError(f"must be nine numbers, got {text!r}")
-    return numbers
-
-
-def _size(text: str) -> tuple[int, int]:
-    numbers = _numbers(text, int, ",")
-    if len(numbers) != 2 or not all(16 <= number <= 10_000 for number in numbers):
-        raise argparse.ArgumentTypeError(f"must be two numbers from 16 to 10000, got {text!r}")
-    return numbers[0], numbers[1]
-
-
-def _frames(text: str) -> int | slice:
-    numbers = _numbers(text, lambda word: int(word) if word else None, ":")
-    if not 1 <= len(numbers) <= 3 or numbers == [None] or numbers[2:] == [0]:
-        raise argparse.ArgumentTypeError(f"must be a number or a range such as 0:20, got {text!r}")
-    return numbers[0] if len(numbers) == 1 else slice(*numbers)
-
-
-def _numbers(text: str, kind: Callable[[str], Any], separator: str) -> list[Any]:
-    """Return the numbers in a text, none if one of them is not of that kind."""
-    try:
-        return [kind(word) for word in text.split(separator)]
-    except ValueError:
-        return []
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -291,8 +260,17 @@ def _render(options: argparse.Namespace) -> None:
     print(destination)
 
 
+def _plot(options: argparse.Namespace) -> None:
+    from mrs.output.plot import COLUMNS, plot
+
+    destination = options.output or options.directory / "log.png"
+    print(plot(options.directory, destination, options.columns or COLUMNS))
+
+
 def _field(options: argparse.Namespace) -> None:
-    found = write_field(options.directory, options.frame, options.resolution, options.output)
+    found = write_field(
+        options.directory, options.frame, options.resolution, options.output, options.plane
+    )
     print(*found.paths, sep="\n")
     print(
         f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
@@ -398,7 +376,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "help": "default DIRECTORY/picture.png; the suffix chooses picture or film",
             },
             "--frame": {
-                "type": _frames,
+                "type": argument_types.frames,
                 "metavar": "N|A:B",
                 "help": "of a picture, the number of its frame (default the last; --frame=-2 from "
                 "the end); of a film, frames as Python counts, such as 10:20 or ::2 (default all)",
@@ -408,15 +386,32 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "help": "a field at points or rods, such as velocity or tension",
             },
             "--camera": {
-                "type": _camera,
+                "type": argument_types.camera,
                 "metavar": "X,Y,Z,...",
                 "help": "nine numbers: position, focal point, up",
             },
             "--size": {
-                "type": _size,
+                "type": argument_types.size,
                 "default": (1280, 800),
                 "metavar": "W,H",
                 "help": "in pixels (default 1280,800)",
+            },
+        },
+    ),
+    "plot": (
+        _plot,
+        "draw columns of the log over time",
+        {
+            **_DIRECTORY,
+            "--columns": {
+                "nargs": "+",
+                "metavar": "NAME",
+                "help": "of log.csv (default elastic_energy max_speed dt)",
+            },
+            "--output": {
+                "type": Path,
+                "metavar": "FILE",
+                "help": "a .png, .svg or .pdf (default DIRECTORY/log.png)",
             },
         },
     ),
@@ -429,6 +424,11 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "type": int,
                 "default": -1,
                 "help": "number of the frame (default the last)",
+            },
+            "--plane": {
+                "type": argument_types.plane,
+                "metavar": "AXIS=PLACE",
+                "help": "a plane such as z=0.5 in place of a box, without streamlines",
             },
             "--resolution": {
                 "type": int,

@@ -17,6 +17,7 @@ from mrs.output import field, run_directory
 from mrs.output.stored import FieldError, StoredFrame
 from mrs.run.resuming import scenario_of
 
+_REACH = -1e60, 1e60  # of coordinates
 _APART = 10.0  # times the error by tolerance and rounding, from which a warning is given
 
 
@@ -73,6 +74,7 @@ def write_field(
     frame: int = -1,
     resolution: int = 40,
     destination: str | os.PathLike[str] | None = None,
+    plane: tuple[str, float] | None = None,
 ) -> Field:
     """Write the velocity on a grid around the bodies, and streamlines, from a stored frame.
 
@@ -87,6 +89,8 @@ def write_field(
         Grid points along the longest side; a fifth as many streamlines start along it.
     destination : path, optional
         Folder to write to, the run directory by default.
+    plane : (axis, place), optional
+        In place of a box one plane across an axis, such as ("z", 0.5), without streamlines.
 
     Returns
     -------
@@ -106,8 +110,11 @@ def write_field(
         stored with the frame are others.
     """
     check.integer("resolution", resolution, 2, 1000)
+    if plane is not None:
+        axis, place = plane
+        plane = check.one_of("plane[0]", axis, field.AXES), check.number("plane[1]", place, *_REACH)
     stored = _stored(directory, frame)
-    grid = field.grid_around(stored.points, resolution)
+    grid = field.grid_around(stored.points, resolution, plane)
     values = stored.velocity(grid.points)
     error = stored.error(grid.points, values)
     if error.at_bodies > _APART * (stored.tolerance + error.rounding):
@@ -119,13 +126,15 @@ def write_field(
         )
     folder = Path(directory if destination is None else destination)
     folder.mkdir(parents=True, exist_ok=True)
-    paths = [folder / name for name in ("field.vti", "streamlines.vtp")]
+    names = ["field.vti"] if plane else ["field.vti", "streamlines.vtp"]
+    paths = [folder / name for name in names]
     run_directory.note_made(directory, *paths)
     name = "disturbance" if stored.unknown else "velocity"
     numbers = {"time": stored.time} | {f"error_{k}": v for k, v in error._asdict().items()}
     field.write_grid(paths[0], grid, {name: values}, numbers)
-    seeds = field.seeds_in(stored.points, max(2, resolution // 5))
-    field.streamlines(paths[1], grid, values, seeds)
+    if plane is None:
+        seeds = field.seeds_in(stored.points, max(2, resolution // 5))
+        field.streamlines(paths[1], grid, values, seeds)
     return Field(paths, stored.time, error)
 
 
