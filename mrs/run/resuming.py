@@ -69,7 +69,7 @@ def resume(
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
     """
-    sim = restart(scenario_of(directory).simulation(directory, comm=comm), changes=changes)
+    sim = restart(scenario_of(directory).simulation(Path(directory), comm=comm), changes=changes)
     sim.trackers.extend(trackers)
     noted = run_directory.read(directory)["run"]["t_end"]
     return sim.run(noted if t_end is None else t_end, **options)
