@@ -13,7 +13,7 @@ import treecode as tc
 from mrs.output import vtkhdf
 from mrs.output.export import export
 from mrs.output.series import ChangedError
-from mrs.output.stored import fluid_meta, stored_lattices
+from mrs.output.stored import StoredFrame, fluid_meta, stored_lattices
 from mrs.output.topology import Topology
 from mrs.output.trajectory import Trajectory
 from mrs.run import cli
@@ -200,6 +200,25 @@ def test_fields_are_read_alike(wide):
     np.testing.assert_array_equal(fibres["speed"][3:, 2, ::7], expected[3:, 2, ::7])
     assert fibres["mass"].shape == (4, POINTS // 4)
     assert fibres["mass"][3, 0] == POINTS - 1
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_precision_of_fields(tmp_path, precision):
+    """Doubles are the bits of the simulation; the velocity that they give is that to rounding."""
+    rods = mrs.Rods(
+        mrs.geometry.straight(1.0, 5), intrinsic_curvature=(1.0, 0.0, 0.0), epsilon=0.2,
+        bending=1.0, twisting=1.0, shearing=10.0, stretching=10.0,
+    )  # fmt: skip
+    output = mrs.Output(tmp_path, 0.01, precision=precision)
+    sim = mrs.Simulation(mrs.Fluid(), [rods], backend="direct", output=output).run(0.01)
+    run = mrs.open_run(tmp_path)
+    assert run["rods"]["force"].dtype == run["rods"]["radius"].dtype == precision
+    forces = sim.now.loads[:, :3].astype(precision).reshape(1, 5, 3)
+    np.testing.assert_array_equal(run["rods"]["force"][-1], forces)
+    exact = precision == "float64"
+    error = np.abs(run.velocity(TARGETS) - sim.velocity(TARGETS)).max()
+    assert (error < 1e-15) == exact
+    assert (StoredFrame(run).error(TARGETS, run.velocity(TARGETS)).rounding == 0.0) == exact
 
 
 def test_wrong_indices_are_refused(wide):

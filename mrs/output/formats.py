@@ -55,7 +55,9 @@ class VtkhdfFile(BodyFile):
             return vtkhdf.cut(self.path, sim.time)
         fluid = fluid_meta(sim.fluid, sim.backend.tolerance)
         meta = {"kind": self.body.kind, **run_directory.versions(), **_META, **fluid}
-        vtkhdf.create(self.path, self.topology, *sim.scene.constant_fields(self.body), meta)
+        precision = "float32" if sim.output is None else sim.output.precision
+        arrays = sim.scene.constant_fields(self.body)
+        vtkhdf.create(self.path, self.topology, *arrays, meta, precision)
         return None
 
     def write(self, sim: Simulation) -> None:

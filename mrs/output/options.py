@@ -42,6 +42,9 @@ class Output:
         returns a number or a text. If it has `labels`, it returns as many, each for a column
         NAME[LABEL]. If it has a method `require`, that is given the simulation before a run, and
         raises ValueError if it cannot be measured. Those of `mrs.observables` have both.
+    precision : {"float32", "float64"}, optional
+        Of forces, velocities and all other arrays in "vtkhdf" files that are begun; positions are
+        doubles in any case. A file that a resumed run goes on with keeps its own.
     """
 
     directory: str | Path
@@ -50,6 +53,7 @@ class Output:
     overwrite: bool = False
     formats: Sequence[str] = ("vtkhdf",)
     columns: Mapping[str, Callable[[Simulation], Any]] = field(default_factory=dict)
+    precision: str = "float32"
 
     def __post_init__(self) -> None:
         if not isinstance(self.directory, (str, Path)):
@@ -57,6 +61,7 @@ class Output:
         check.positive("interval", self.interval)
         check.not_negative("checkpoint_seconds", self.checkpoint_seconds, 1e9)
         check.flag("overwrite", self.overwrite)
+        check.one_of("precision", self.precision, ("float32", "float64"))
         if isinstance(self.formats, str):
             raise TypeError(f"formats must be a list of texts, got {self.formats!r}")
         for i, name in enumerate(self.formats):

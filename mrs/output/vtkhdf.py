@@ -35,6 +35,7 @@ from mrs.output.vtkhdf_layout import (
 )
 
 _FIRST_ROOM = 16
+_PRECISION = "precision"  # an attribute, of which VTK does not know
 
 
 def create(
@@ -43,6 +44,7 @@ def create(
     point_data: Mapping[str, ArrayLike] | None = None,
     cell_data: Mapping[str, ArrayLike] | None = None,
     meta: Mapping[str, Any] | None = None,
+    precision: str = "float32",
 ) -> None:
     """Write a new file without frames.
 
@@ -58,6 +60,8 @@ def create(
         Likewise, a row for each vertex, then for each line.
     meta : dict of str, numbers or lists of them, optional
         For example ``{"kind": "rods", "force": "per length", "length unit": "m"}``.
+    precision : {"float32", "float64"}, optional
+        Of all arrays of floats but the points.
 
     Raises
     ------
@@ -70,12 +74,13 @@ def create(
     if path.exists():
         raise FileExistsError(f"{path} exists already")
     constant = {
-        **_named("PointData", point_data),
-        **_named("CellData", cell_data, topology.cells),
+        **_named("PointData", point_data, precision),
+        **_named("CellData", cell_data, precision, topology.cells),
     }
     with replacing(path) as temporary, File(temporary, "w") as file:
         root = file.create_group("VTKHDF")
         root.attrs["Version"] = np.array([2, 2])
+        root.attrs[_PRECISION] = precision
         root.attrs["Type"] = np.bytes_("PolyData")  # the reader wants a fixed-length string
         for name in DATA:
             root.create_group(name)
@@ -95,8 +100,8 @@ def append(
 ) -> None:
     """Add a frame; when this returns it is in the file, and before that nothing of it can be seen.
 
-    Points and the time are stored as float64, other arrays of floats as float32. In single
-    precision a body that is small beside its distance from the origin could not be seen.
+    Points and the time are stored as float64, other arrays of floats as `create` was told. In
+    single precision a body that is small beside its distance from the origin could not be seen.
 
     Parameters
     ----------
@@ -122,7 +127,8 @@ def append(
         root = root_of(file, path)
         times, room = times_of(root), room_of(root)
         steps = len(times)
-        frame = _frame(cells_of(root), points, point_data, cell_data)
+        precision = str(root.attrs.get(_PRECISION, "float32"))
+        frame = _frame(cells_of(root), precision, points, point_data, cell_data)
         layout = {name: (array.shape, array.dtype) for name, array in frame.items()}
         if room:
             _check_layout(layout_of(root), layout)
@@ -199,7 +205,7 @@ def _write(file: File, time: float, frame: Mapping[str, np.ndarray]) -> None:
 
 
 def _named(
-    group: str, arrays: Mapping[str, Any] | None, rows: int | None = None
+    group: str, arrays: Mapping[str, Any] | None, precision: str, rows: int | None = None
 ) -> dict[str, np.ndarray]:
     """Return the arrays as they are stored, under their names in the file."""
     result: dict[str, np.ndarray] = {}
@@ -212,19 +218,20 @@ def _named(
                 f"{group} {name!r} must have shape (n,) or (n, k) with n = {rows}, "
                 f"got {array.shape}"
             )
-        result[f"{group}/{name}"] = array.astype(_stored_type(name, array))
+        result[f"{group}/{name}"] = array.astype(_stored_type(name, array, precision))
     return result
 
 
-def _stored_type(name: str, array: np.ndarray) -> type:
-    types = {"f": np.float32, "i": np.int64, "u": np.int64, "b": np.uint8}
+def _stored_type(name: str, array: np.ndarray, precision: str) -> np.dtype:
+    types = {"f": precision, "i": "int64", "u": "int64", "b": "uint8"}
     if array.dtype.kind not in types:
         raise TypeError(f"{name!r} must hold real numbers, got dtype {array.dtype}")
-    return types[array.dtype.kind]
+    return np.dtype(types[array.dtype.kind])
 
 
 def _frame(
     cells: int,
+    precision: str,
     points: ArrayLike,
     point_data: Mapping[str, ArrayLike] | None,
     cell_data: Mapping[str, ArrayLike] | None,
@@ -235,8 +242,8 @@ def _frame(
         raise ValueError(f"points must have shape (n, 3), got {points.shape}")
     return {
         "Points": points.astype(np.float64),
-        **_named("PointData", point_data, len(points)),
-        **_named("CellData", cell_data, cells),
+        **_named("PointData", point_data, precision, len(points)),
+        **_named("CellData", cell_data, precision, cells),
     }
 
 
