@@ -1,7 +1,7 @@
 """How Sphinx makes the site of these pages.
 
-`python -m sphinx -W -b html docs docs/_build/html` needs no network. What is not written by hand is
-in docs/generated: the pages outside this folder, the gallery of scenarios, the reference of the API.
+`python -m sphinx -W -b html docs docs/_build/html` needs no network. What is not written by hand
+is in docs/generated: pages from outside this folder, the gallery, the reference of the API.
 """
 
 import sys
@@ -13,7 +13,7 @@ sys.path.insert(0, str(HERE / "_extensions"))
 from treecode import __version__  # noqa: E402
 
 project = "mrs-treecode"
-author = copyright = "The mrs-treecode developers"
+author = project_copyright = "The mrs-treecode developers"
 release = version = __version__
 
 extensions = [
@@ -22,8 +22,8 @@ extensions = [
     "sphinx.ext.napoleon",
     "api_pages",
     "gallery",
+    "links",
     "mathml",
-    "pages_outside",
 ]
 exclude_patterns = ["_*"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
@@ -36,6 +36,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
+napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"mrs-treecode {release}"

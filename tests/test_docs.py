@@ -14,6 +14,10 @@ PAGES = sorted(
 )
 # Pages that say how things are now; a note on a decision says how they were.
 PRESENT = [ROOT / name for name in ("ARCHITECTURE.md", "docs/notation.md", "docs/physics.md")]
+GUIDES = [
+    ROOT / "docs" / f"{name}.md"
+    for name in ("choosing", "coming-from", "errors", "index", "scenes", "theory", "units")
+]
 DECISIONS = ROOT / "docs" / "decisions"
 
 each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -53,7 +57,7 @@ def test_files_are_there(page):
     assert not [name for name in names if not (ROOT / name).exists()]
 
 
-@each_present_page
+@pytest.mark.parametrize("page", PRESENT + GUIDES, ids=lambda page: page.name)
 def test_lines_are_short(page):
     assert not [line for line in prose(page) if len(line) > 110]
 
@@ -69,6 +73,30 @@ def test_architecture_lists_the_modules(package):
         if path.suffix in (".py", ".json") or (path / "__init__.py").exists()
     }
     assert sorted(listed) == sorted(found - {"__init__.py"})
+
+
+def messages():
+    """Yield all texts in the sources, with dots for what is filled in."""
+    for path in [*(ROOT / "mrs").rglob("*.py"), *(ROOT / "treecode").rglob("*.py")]:
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                yield "".join(
+                    part.value if isinstance(part, ast.Constant) else "..." for part in node.values
+                )
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                yield node.value
+
+
+def test_messages_that_are_explained_are_those_of_the_code():
+    explained = re.findall(r"^### (.+)$", (ROOT / "docs" / "errors.md").read_text(), flags=re.M)
+    texts = "\n".join(messages())
+    assert explained
+    assert [heading for heading in explained if heading.strip(" .:") not in texts] == []
+
+
+def test_every_page_is_on_the_site():
+    linked = set(re.findall(r"\]\(([\w-]+\.md)\)", (ROOT / "docs" / "index.md").read_text()))
+    assert linked | {"index.md"} == {path.name for path in (ROOT / "docs").glob("*.md")}
 
 
 def test_cited_tests_are_there():

@@ -10,17 +10,19 @@ import types
 import generated
 from sphinx.errors import ExtensionError
 
-MODULES = (
-    "mrs",
-    "mrs.geometry",
-    "mrs.surfaces",
-    "mrs.flows",
-    "mrs.observables",
-    "mrs.rotations",
-    "treecode",
-    "treecode.methods",
-    "treecode.cache",
-)
+# Modules by the names that users call them, and the files in which the repository has them.
+MODULES = {
+    "mrs": "mrs/__init__.py",
+    "mrs.geometry": "mrs/bodies/geometry.py",
+    "mrs.surfaces": "mrs/bodies/surfaces.py",
+    "mrs.flows": "mrs/fluid/flows.py",
+    "mrs.observables": "mrs/observables/__init__.py",
+    "mrs.rotations": "mrs/rotations.py",
+    "treecode": "treecode/__init__.py",
+    "treecode.methods": "treecode/methods/__init__.py",
+    "treecode.cache": "treecode/cache.py",
+}
+PLACES = {file: f"api/{name}.rst" for name, file in MODULES.items()}
 PAGE = """{name}
 {underline}
 
@@ -29,6 +31,9 @@ PAGE = """{name}
 .. autosummary::
    :toctree: names
 
+{names}
+
+{also}
 """
 
 
@@ -47,35 +52,43 @@ def public_names(module):
 
 
 def module_of(name):
-    """Return the module that users call `mrs.geometry`, wherever its file is."""
+    """Return the module that users call, for example, `mrs.geometry`, wherever its file is."""
     package, _, attribute = name.partition(".")
     module = importlib.import_module(package)
     return getattr(module, attribute) if attribute else module
 
 
 def write_pages(app, config):
-    """Write a page for each module.
+    """Write a page for each module; a thing that has several names is described under the first.
 
     Raises
     ------
     ExtensionError
         If public names have no docstring.
     """
-    mute = []
+    first = {}  # the first name of each thing, by its identity
     for module_name in MODULES:
         module = module_of(module_name)
-        names = public_names(module)
-        mute += [f"{module_name}.{n}" for n in names if not inspect.getdoc(getattr(module, n))]
+        own, also = [], []
+        for name in public_names(module):
+            whole, thing = f"{module_name}.{name}", getattr(module, name)
+            if not inspect.getdoc(thing):
+                raise ExtensionError(f"{whole} must have a docstring, as all public names")
+            if first.setdefault(id(thing), whole) == whole:
+                own.append(f"   {whole}")
+            else:
+                also.append(f"* `{whole}` is :doc:`names/{first[id(thing)]}`.")
         page = PAGE.format(
             name=module_name,
             underline="=" * len(module_name),
             description=inspect.getdoc(module),
+            names="\n".join(own),
+            also="\n".join(also),
         )
-        generated.write(
-            f"api/{module_name}.rst", page + "".join(f"   {module_name}.{n}\n" for n in names)
-        )
-    if mute:
-        raise ExtensionError(f"public names must have a docstring, got none in {', '.join(mute)}")
+        generated.write(f"api/{module_name}.rst", page)
+    for path in (generated.FOLDER / "api" / "names").glob("*.rst"):
+        if path.stem not in first.values():  # of an earlier build
+            path.unlink()
 
 
 def skip_fields(app, what, name, obj, skip, options):

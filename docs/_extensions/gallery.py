@@ -22,8 +22,8 @@ logger = logging.getLogger(__name__)
 
 TOP = """# Gallery
 
-Each scenario is one file, to read and to copy. The pictures show the last frame of its quick version.
-[Running](/running.md) says how a scenario gets other options.
+Each scenario is one file, to read and to copy. The pictures show the last frame of its quick
+version. [Running](/running.md) says how a scenario gets other options.
 """
 ENTRY = """
 ## {name}

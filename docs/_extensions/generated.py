@@ -11,5 +11,5 @@ def write(name, text):
     """Write a page there, unless it is there already: Sphinx reads changed pages only."""
     path = FOLDER / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    if not path.exists() or path.read_text() != text:
-        path.write_text(text)
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")

@@ -18,7 +18,7 @@ _UNEQUAL = 1e-6  # of an interval, by which others may differ from it
 def mean_square_displacement(
     times: ArrayLike, positions: ArrayLike, origins: Origins = "all"
 ) -> np.ndarray:
-    """Return the mean of |x(t + lag) - x(t)|^2 over points and origins t, (T,).
+    """Return the mean square of x(t + lag) - x(t), over points and origins t, (T,).
 
     The lags are ``times - times[0]``.
 
