@@ -58,7 +58,7 @@ def energy(body, positions=None):
     return body.energy(0.0, state)
 
 
-@pytest.mark.parametrize(("given", "meant"), PAIRS, ids=repr)
+@pytest.mark.parametrize(("given", "meant"), PAIRS)
 def test_bending(given, meant):
     """The energy is sum 1/2 (a1 k1^2 + a2 k2^2 + a3 k3^2) ds: constant strains are exact."""
     moduli = np.column_stack([meant, np.ones(9)])
@@ -66,7 +66,7 @@ def test_bending(given, meant):
     assert energy(bent(bending=given)) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize(("given", "meant"), NUMBERS, ids=repr)
+@pytest.mark.parametrize(("given", "meant"), NUMBERS)
 def test_twisting(given, meant):
     moduli = np.column_stack([np.ones(9), np.ones(9), meant])
     expected = 0.5 * 0.1 * (moduli * STRAINS[ROD] ** 2).sum()
@@ -83,14 +83,14 @@ def shifted(**options):
     return energy(body, body.positions + s[:, None] * SHIFTS[body.rod_of_node])
 
 
-@pytest.mark.parametrize(("given", "meant"), PAIRS, ids=repr)
+@pytest.mark.parametrize(("given", "meant"), PAIRS)
 def test_shearing(given, meant):
     moduli = np.column_stack([meant, np.ones(9)])
     expected = 0.5 * 0.1 * (moduli * SHIFTS[ROD] ** 2).sum()
     assert shifted(shearing=given) == pytest.approx(expected, rel=1e-12)
 
 
-@pytest.mark.parametrize(("given", "meant"), NUMBERS, ids=repr)
+@pytest.mark.parametrize(("given", "meant"), NUMBERS)
 def test_stretching(given, meant):
     moduli = np.column_stack([np.ones(9), np.ones(9), meant])
     expected = 0.5 * 0.1 * (moduli * SHIFTS[ROD] ** 2).sum()
@@ -108,7 +108,7 @@ BLOBS = [
 ]
 
 
-@pytest.mark.parametrize(("given", "meant"), BLOBS, ids=repr)
+@pytest.mark.parametrize(("given", "meant"), BLOBS)
 def test_blobs_and_radii(given, meant):
     body = bent(epsilon=given, radius=given)
     np.testing.assert_allclose(body.epsilons(9.0), meant, rtol=1e-12)
