@@ -5,6 +5,7 @@ Sphinx's autosummary makes the page of each name from its docstring. A name with
 
 import importlib
 import inspect
+import re
 import types
 
 import generated
@@ -23,6 +24,7 @@ MODULES = {
     "treecode.cache": "treecode/cache.py",
 }
 PLACES = {file: f"api/{name}.rst" for name, file in MODULES.items()}
+BAR = re.compile(r"\|(?=(?:[^`]*`[^`]*`)*[^`]*$)")  # outside of code
 PAGE = """{name}
 {underline}
 
@@ -38,17 +40,18 @@ PAGE = """{name}
 
 
 def public_names(module):
-    """Return the public names of a module that are no modules: `__all__`, or what it defines."""
+    """Return the names in `__all__`, or of what it defines; no modules, and constants last."""
     here = [
         name
         for name, value in vars(module).items()
         if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
     ]
-    return [
+    names = [
         name
         for name in getattr(module, "__all__", here)
         if not name.startswith("__") and not isinstance(getattr(module, name), types.ModuleType)
     ]
+    return sorted(names, key=str.isupper)
 
 
 def module_of(name):
@@ -96,8 +99,14 @@ def skip_fields(app, what, name, obj, skip, options):
     return skip or type(obj).__name__ == "_tuplegetter"
 
 
+def escape_bars(app, what, name, obj, options, lines):
+    """Keep the bars of absolute values, which are marks of substitutions in reStructuredText."""
+    lines[:] = [BAR.sub(r"\\|", line) for line in lines]
+
+
 def setup(app):
     """Write the pages before Sphinx looks for pages."""
     app.connect("config-inited", write_pages)
+    app.connect("autodoc-process-docstring", escape_bars)
     app.connect("autodoc-skip-member", skip_fields)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -65,6 +65,8 @@ def picture_of(source):
     path = generated.FOLDER / "gallery" / f"{source.stem}-{key}.png"
     if not path.exists():
         logger.info("drawing %s", source.stem)
+        for old in path.parent.glob(f"{source.stem}-*.png"):
+            old.unlink()
         draw(source.stem, path)
     return path.name
 
