@@ -5,9 +5,11 @@ A picture is kept in docs/generated until the file of its scenario, or the versi
 
 import ast
 import hashlib
+import os
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import generated
@@ -45,7 +47,8 @@ ENTRY = """
 def write_page(app, config):
     """Write the page, and draw the pictures that are missing."""
     sources = [Path(folder, f"{name}.py") for folder in mrs.scenarios.__path__ for name in known()]
-    generated.write("gallery.md", TOP + "".join(map(entry, sources)))
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # processes of one thread each
+        generated.write("gallery.md", TOP + "".join(pool.map(entry, sources)))
 
 
 def entry(source):
@@ -76,7 +79,10 @@ def draw(name, path):
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=path.parent) as folder:
         run = [sys.executable, "-m", "mrs", "run", name, "--quick", "--picture", "--output", "run"]
-        done = subprocess.run(run, cwd=folder, capture_output=True, text=True, check=False)
+        environment = os.environ | {"NUMBA_NUM_THREADS": "1"}
+        done = subprocess.run(
+            run, cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
         if done.returncode:
             raise ExtensionError(f"{' '.join(run)}\n{done.stdout}{done.stderr}")
         (picture,) = Path(folder, "run").glob("*.png")
