@@ -25,6 +25,7 @@ from mrs.run import scenario_files
 
 STROKES = "pusher", "puller"
 DENSITY = 1000 / 12.0**3  # swimmers in a cubic length
+TUMBLE_RATE = 0.2  # those that go straight on meet the same tracers again, once round the box
 FRAMES = 100
 SHOWN = 1, 3, 6, 12, 25, 50  # lags in the table, in frames
 LATE = slice(25, 51)  # lags from a quarter of a run to a half, which many times begin
@@ -58,6 +59,7 @@ def run(directory: Path, count: int, time: float, stroke: str, seed: int) -> Non
         "size": edge(count),
         "stroke": stroke,
         "seed": seed,
+        "tumble_rate": TUMBLE_RATE,
         "t_end": time,
         "interval": time / FRAMES,
         "backend": {"tolerance": 1e-3},
@@ -159,8 +161,8 @@ def main() -> None:
         "# Stirring\n",
         f"{machine_today()}. Written by `python -m benchmarks.stirring`.\n",
         f"{count} swimmers of length 1 and thrust 1, and as many tracers, in a box of edge",
-        f"{edge(count):.4g}, to t = {time:g}. Viscosity 1. Means over {options.seeds} seeds, with",
-        "standard errors.\n",
+        f"{edge(count):.4g}, to t = {time:g}. They tumble {TUMBLE_RATE:g} times a unit of time.",
+        f"Viscosity 1. Means over {options.seeds} seeds, with standard errors.\n",
         "## Mean square displacement of tracers\n",
         *displacements(runs, time / FRAMES),
         "\n## Other numbers\n",
