@@ -96,6 +96,13 @@ def test_check(capsys):
     assert told.endswith(": ok\n")
 
 
+def test_plot(finished, tmp_path):
+    """Curves of the log."""
+    path = tmp_path / "log.png"
+    assert cli.main(["plot", str(finished), "--output", str(path)]) == 0
+    assert iio.imread(path).ndim == 3
+
+
 def test_every_command_is_tested():
     assert [name for name in cli._COMMANDS if f"test_{name}" not in globals()] == []
 

@@ -27,7 +27,8 @@ def acceptance(tree: Tree, theta: float) -> np.ndarray:
 
     A target exactly at the centre of a cluster without extent is not well separated (r/R is 0/0).
     """
-    return np.maximum((tree.radius / theta) ** 2, SMALLEST)
+    with np.errstate(over="ignore"):  # of a tiny theta, for which no cluster is far enough
+        return np.maximum((tree.radius / theta) ** 2, SMALLEST)
 
 
 def accepted(tree: Tree, distance2: np.ndarray, targets: Tree) -> np.ndarray:

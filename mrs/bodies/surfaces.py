@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import meshio
 import numpy as np
 import scipy
 from numpy.typing import ArrayLike
@@ -261,6 +260,8 @@ def read(path: str | os.PathLike[str]) -> Surface:
     ValueError
         If there are no triangles.
     """
+    import meshio  # not before it is used: it takes a fifth of a second
+
     with np.errstate(over="ignore"):  # meshio takes text in a .stl for a number at first
         mesh = meshio.read(Path(path))
     triangles = [block.data for block in mesh.cells if block.type == "triangle"]
