@@ -15,6 +15,7 @@ bending = 1.0
 from __future__ import annotations
 
 import inspect
+import os
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -81,9 +82,14 @@ def _call(
 
 
 def _data(hint: Any) -> Any:
-    """Return the type that pydantic checks: any for arrays, which the function itself checks."""
-    is_array = set(typing.get_args(ArrayLike)) <= set(typing.get_args(hint))
-    return Any if is_array else hint
+    """Return the type that pydantic checks: a text for a path, any for arrays.
+
+    Arrays are checked by the function itself.
+    """
+    parts = typing.get_args(hint)
+    if any(typing.get_origin(part) is os.PathLike for part in parts):
+        return str
+    return Any if set(typing.get_args(ArrayLike)) <= set(parts) else hint
 
 
 def _one_of(*functions: Callable) -> Any:
