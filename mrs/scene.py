@@ -205,10 +205,11 @@ class Scene:
         self._require_inside(points, time)
         loads = self._loads(time, state, points)
         if check.computable(points, loads):
-            motion = self._motion(time, state, points, loads)
+            motion, frames = self._motion(time, state, points, loads)
         else:  # the stepper rejects the step, or stops
             motion = np.full_like(loads, np.nan)
-        rates = self.layout.rates(time, state, motion)
+            frames = np.full((self.layout.parts[-1].frames.stop, 6), np.nan)
+        rates = self.layout.rates(time, state, motion, frames)
         return Evaluation(time, state, points, loads, motion, rates)
 
     def _require_inside(self, points: np.ndarray, time: float) -> None:
@@ -260,10 +261,10 @@ class Scene:
 
     def _motion(
         self, time: float, state: State, points: np.ndarray, loads: np.ndarray
-    ) -> np.ndarray:
-        """Return the motion of all points; fill in the forces where motion is given."""
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the motion of all points, and of frames; fill in forces where motion is given."""
         if self.resistance is None:
-            return self._flow(time, points, loads)
+            return self._flow(time, points, loads), np.empty((0, 6))
         rows, given = self.layout.given, self.layout.given_motion(time, state)
         arms, frame = given.arms, given.frame
         load = given.load + net_loads(loads[rows, :3], arms, frame, len(given.free))
@@ -276,13 +277,13 @@ class Scene:
         flow = self._flow(time, points, loads, bool(loads.any()))[rows, :3]
         with self.profile.stage("resistance"):
             boundary = self.fluid.boundary_at(time)
-            solved = self.resistance.solve(time, points[rows], given, flow, boundary)
-            loads[rows, :3], moved = solved
+            forces, frames = self.resistance.solve(time, points[rows], given, flow, boundary)
+        loads[rows, :3] = forces
         motion = self._flow(time, points, loads, len(rows) < len(points))
-        motion[rows, :3] = given.velocity + carried(moved, arms, frame)
+        motion[rows, :3] = given.velocity + carried(frames, arms, frame)
         for fixed, lever in zip(mounted, levers, strict=True):
-            motion[fixed.rows] = fixed.motion_with(moved, given, lever)
-        return motion
+            motion[fixed.rows] = fixed.motion_with(frames, given, lever)
+        return motion, frames
 
     def _flow(
         self, time: float, points: np.ndarray, loads: np.ndarray, summed: bool = True

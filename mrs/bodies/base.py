@@ -24,7 +24,8 @@ class Body(Shown):
     angular velocity if `has_spin`.
 
     A body with `has_given_motion` says how its points move, in the place of the forces there: those
-    are found so that the fluid moves with the points.
+    are found so that the fluid moves with the points. Its positions and triads are frames, which
+    carry the points: it needs neither `loads` nor `rates`.
 
     Attributes
     ----------

@@ -25,6 +25,8 @@ class Part(NamedTuple):
     positions: slice
     quaternions: slice
     points: slice
+    frames: slice
+    """Among those of all bodies whose motion is given: its positions, or none."""
 
     def state(self, state: State) -> State:
         """Return the body's own part of a state of all."""
@@ -85,6 +87,7 @@ class Layout:
             _slices(len(body.positions) for body in bodies),
             _slices(len(body.quaternions) for body in bodies),
             _slices(sizes),
+            _slices(len(body.positions) * body.has_given_motion for body in bodies),
             strict=True,
         )
         self.bodies = tuple(bodies)
@@ -187,25 +190,22 @@ class Layout:
         for part in self.parts:
             own = part.body.mounted(time, part.state(state))
             if own is not None:
-                first, count = self._frames(part.body, own.body)
+                frames = self._holder(part.body, own.body).frames
+                count = frames.stop - frames.start
                 if own.number.max(initial=0) >= count:
                     raise ValueError(
                         f"base of {part.body.name!r}: number must be less than {count}, the bodies "
                         f"of {own.body!r}, got {own.number.max()}"
                     )
-                rows, number = own.rows + part.points.start, own.number + first
+                rows, number = own.rows + part.points.start, own.number + frames.start
                 found.append(own._replace(rows=rows, number=number))
         return found
 
-    def _frames(self, of: Body, name: str) -> tuple[int, int]:
-        """Return the number of the first frame of the body of a name, and how many there are."""
-        before = 0
-        for body in self.bodies:
-            if body.has_given_motion:
-                count = len(body.given_motion(0.0, State(body.positions, body.quaternions)).free)
-                if body.name == name:
-                    return before, count
-                before += count
+    def _holder(self, of: Body, name: str) -> Part:
+        """Return the body of a name, to which the base of a body is fixed."""
+        for part in self.parts:
+            if part.body.has_given_motion and part.body.name == name:
+                return part
         raise ValueError(
             f"base of {of.name!r} must be fixed to a Rigid or Prescribed body of the scene, got "
             f"{name!r}"
@@ -228,10 +228,20 @@ class Layout:
                     own[:, 3:] = torque
         return loads
 
-    def rates(self, time: float, state: State, motion: np.ndarray) -> np.ndarray:
-        """Return the rates of positions and triads, (P + Q, 3), for a motion of the points."""
+    def rates(
+        self, time: float, state: State, motion: np.ndarray, frames: np.ndarray
+    ) -> np.ndarray:
+        """Return the rates of positions and triads, (P + Q, 3), for a motion of the points.
+
+        `frames` is the motion of those of bodies whose motion is given, (k, 6).
+        """
         velocities, spins = [], []
         for part in self.parts:
+            if part.body.has_given_motion:
+                own = frames[part.frames]
+                velocities.append(own[:, :3])
+                spins.append(own[:, 3:])
+                continue
             own = motion[part.points]
             spin = own[:, 3:] if part.body.has_spin else None
             moved = part.state(state)

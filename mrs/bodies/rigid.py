@@ -13,7 +13,7 @@ from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive
 from mrs.bodies.shapes import Shape, Still
 from mrs.bodies.surfaces import Surface
-from mrs.rigid_motion import GivenMotion, net_loads
+from mrs.rigid_motion import GivenMotion
 from mrs.time.state import Arrays, State
 
 _TOUCHING = 0.65  # of the distance of neighbours: the radius of spheres without holes between
@@ -152,20 +152,6 @@ class Rigid(Body):
             load=self._load,
         )
 
-    def rates(
-        self,
-        time: float,
-        state: State,
-        velocity: np.ndarray,
-        spin: np.ndarray | None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the velocities and the angular velocities of the axes, (n, 3) each."""
-        if self.motion != "free":
-            motion = self._at_rates(time)
-            return motion[:, :3], motion[:, 3:]
-        given = self.given_motion(time, state)
-        return _fitted(velocity - given.velocity, given)
-
     def epsilons(self, default: float) -> np.ndarray:
         """Return the blob size at each point, (n p,)."""
         count = len(self.shape.surface.points)
@@ -253,22 +239,3 @@ def _shape(shape: Any) -> Shape:
     if callable(shape):
         raise TypeError("shape must not be a function; wrap it: mrs.Moving(function, period=...)")
     return Still(Surface(check.points("shape", shape), None))  # type: ignore[arg-type]
-
-
-def _fitted(velocity: np.ndarray, given: GivenMotion) -> tuple[np.ndarray, np.ndarray]:
-    """Return the motion of the frames that gives points their velocities, by least squares.
-
-    About an axis on which all points of a body are its angular velocity is zero.
-    """
-    count, frame, arms = len(given.centre), given.frame, given.arms
-    points = np.bincount(frame, minlength=count)[:, None]
-    middle = net_loads(arms, arms, frame, count)[:, :3] / points
-    mean = net_loads(velocity, arms, frame, count)[:, :3] / points
-    apart = arms - middle[frame]
-    turning = net_loads(velocity - mean[frame], apart, frame, count)[:, 3:]
-    square = np.einsum("ni,ni->n", apart, apart)[:, None, None] * np.eye(3)
-    square = square - apart[:, :, None] * apart[:, None, :]
-    inertia = np.zeros((count, 3, 3))
-    np.add.at(inertia, frame, square)
-    spin = np.einsum("kij,kj->ki", np.linalg.pinv(inertia, 1e-12, hermitian=True), turning)
-    return mean - rotations.cross(spin, middle), spin

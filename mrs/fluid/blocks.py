@@ -180,6 +180,5 @@ def _inverse(viscosity: float, epsilons: np.ndarray, points: np.ndarray) -> np.n
     if failed:
         raise IllConditionedError
     inverse, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
-    upper = np.triu_indices(3 * count, 1)
-    inverse[upper] = inverse.T[upper]
-    return np.asarray(inverse)
+    lower = np.tril(inverse)  # the other half is not set
+    return lower + np.tril(lower, -1).T
