@@ -55,6 +55,14 @@ def exponential(phi: np.ndarray) -> np.ndarray:
     return np.concatenate([0.5 * np.sinc(half / np.pi) * phi, np.cos(half)], axis=-1)
 
 
+def logarithm(q: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors of quaternions, (N, 3), the short way round."""
+    q = np.where(q[..., 3:] < 0.0, -q, q)
+    sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
+    half = np.arctan2(sine, q[..., 3:])
+    return 2.0 * q[..., :3] / np.sinc(half / np.pi)
+
+
 def local_rate(phi: np.ndarray, spin: np.ndarray) -> np.ndarray:
     """Return phi' for D = exp(phi) D_n with D' = spin x D, (N, 3).
 

@@ -13,6 +13,7 @@ from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
 from mrs.fluid.mobility import Boundary
 from mrs.forces import Force
+from mrs.linearization import Linearization, linearized
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
@@ -113,6 +114,8 @@ class Scene:
         for force in self.forces:
             force.require(layout, fluid)
         self._last: Evaluation | None = None
+        self._linear: Linearization | None = None
+        self._comm = comm
 
     def _resistance(self, comm: Any) -> Resistance:
         """Return what finds the forces at points whose motion is given."""
@@ -192,6 +195,35 @@ class Scene:
         `near` is as for `evaluate`.
         """
         return self.evaluate(time, state, near).rates
+
+    def linearized(self, time: float, state: State) -> Linearization | None:
+        """Return an approximate Jacobian of the rates; None if no body is stiff.
+
+        The last one is kept.
+        """
+        last = self._linear
+        if last is None or last.time != time or not last.state.equals(state):
+            with self.profile.stage("linearization"):
+                boundary = self.fluid.boundary_at(time)
+                periodic = isinstance(boundary, Periodic)
+                last = self._linear = linearized(
+                    self.layout,
+                    self.mobility,
+                    None if periodic else self._mobility_of_proxies,
+                    self.epsilons,
+                    self.error_scale,
+                    boundary,
+                    time,
+                    state,
+                )
+        return last
+
+    def _mobility_of_proxies(self, epsilons: np.ndarray) -> Mobility:
+        """Return the mobility of points with forces alone, by exact sums."""
+        yes, no = np.ones(len(epsilons), bool), np.zeros(len(epsilons), bool)
+        numbers, exact = np.zeros(len(epsilons), int), Backend("direct")
+        of_points = yes, no, no, numbers, exact, self.fluid.boundary, self._comm
+        return Mobility(self.fluid.viscosity, epsilons, *of_points)
 
     def forget(self) -> None:
         """Compute the next evaluation anew, since the sums are done by other methods now."""

@@ -6,6 +6,7 @@ from treecode._lanes import inverse_sqrt, where
 from treecode.accuracy import relative_error
 from treecode.boundaries import Boundary, FreeSpace, Periodic, Term, Wall
 from treecode.choice.refusals import CancellationError, ToleranceError
+from treecode.dense import matrix
 from treecode.evaluation import evaluate
 from treecode.kernels import (
     RegularizedStokeslet,
@@ -49,6 +50,7 @@ __all__ = [
     "exp",
     "inverse_sqrt",
     "log",
+    "matrix",
     "relative_error",
     "where",
 ]

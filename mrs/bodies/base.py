@@ -11,6 +11,7 @@ import numpy as np
 from mrs.bodies.noise import Noise
 from mrs.describe import described, own_code
 from mrs.rigid_motion import GivenMotion, Mounted
+from mrs.stiffness import Stiffness
 from mrs.time.state import Arrays, State
 from treecode.shown import Shown
 
@@ -84,6 +85,13 @@ class Body(Shown):
     def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the forces and torques on the fluid at the points, (p, 3) each."""
         raise NotImplementedError
+
+    def stiffness(self, time: float, state: State) -> Stiffness | None:
+        """Return how the loads change with the coordinates, for implicit time steps.
+
+        None, as by default, for a body whose motion is not stiff.
+        """
+        return None
 
     def rates(
         self,

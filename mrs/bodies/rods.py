@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
@@ -14,9 +15,12 @@ from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.geometry import Centerline
 from mrs.rigid_motion import Mounted
+from mrs.stiffness import Stiffness
 from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
+
+_SMALL = 1e-5  # radians, and parts of a segment: steps of central differences
 
 
 class Elasticity(NamedTuple):
@@ -167,7 +171,8 @@ class Rods(Body):
 
     def _measure(self) -> None:
         """Take rest lengths and arclengths from the shapes at time zero."""
-        between, middle, steps = self._halfway(State(self.positions, self.quaternions))
+        start, end, steps = self._ends(State(self.positions, self.quaternions))
+        between, middle = _halfway(start, end)
         along = rotations.rotate(middle, np.array([[0.0, 0.0, 1.0]]))
         self.spacing = np.einsum("ni,ni->n", along, steps)
         if (self.spacing <= 0.0).any():
@@ -231,19 +236,24 @@ class Rods(Body):
 
     def elasticity(self, time: float, state: State) -> Elasticity:
         """Return strains halfway between the nodes."""
-        between, middle, steps = self._halfway(state)
+        return self._elasticity(*self._ends(state), self.intrinsic_curvature(time))
+
+    def _elasticity(
+        self, start: np.ndarray, end: np.ndarray, steps: np.ndarray, intrinsic: np.ndarray
+    ) -> Elasticity:
+        """Return strains for triads at the ends of the segments, and steps along them."""
+        between, middle = _halfway(start, end)
         spacing = self.spacing[:, None]
         strain = 2.0 * between[:, :3] / spacing
         shift = rotations.rotate(rotations.conjugate(middle), steps) / spacing
         shift[:, 2] -= 1.0
-        return Elasticity(middle, steps, strain, strain - self.intrinsic_curvature(time), shift)
+        return Elasticity(middle, steps, strain, strain - intrinsic, shift)
 
-    def _halfway(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rotations over the segments, triads in their middles, and steps along them."""
-        start = state.quaternions[self._left]
-        between = rotations.relative(start, state.quaternions[self._right])
-        middle = rotations.multiply(start, rotations.halved(between))
-        return between, middle, state.positions[self._right] - state.positions[self._left]
+    def _ends(self, state: State) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the triads at the starts and ends of the segments, and steps along them."""
+        triads, places = state.quaternions, state.positions
+        steps = places[self._right] - places[self._left]
+        return triads[self._left], triads[self._right], steps
 
     def loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces and torques of the nodes on the fluid, (nodes, 3) each."""
@@ -270,10 +280,7 @@ class Rods(Body):
         return self._node_loads(time, state)[0][self.first]
 
     def _node_loads(self, time: float, state: State) -> tuple[np.ndarray, np.ndarray]:
-        inside = self.elasticity(time, state)
-        internal_force = rotations.rotate(inside.quaternions, self._stiffness * inside.shift)
-        moment = rotations.rotate(inside.quaternions, self._moduli * inside.strain_excess)
-        couple = 0.5 * rotations.cross(inside.steps, internal_force)
+        internal_force, couple, moment = self._internal(self.elasticity(time, state))
         force, torque = np.zeros_like(state.positions), np.zeros_like(state.positions)
         # A node is left end of one segment at most, and right end of one.
         force[self._left] += internal_force
@@ -281,6 +288,67 @@ class Rods(Body):
         torque[self._left] += couple + moment
         torque[self._right] += couple - moment
         return force, torque
+
+    def _internal(self, inside: Elasticity) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the forces and moments halfway between nodes, and half the couples of forces."""
+        force = rotations.rotate(inside.quaternions, self._stiffness * inside.shift)
+        moment = rotations.rotate(inside.quaternions, self._moduli * inside.strain_excess)
+        return force, 0.5 * rotations.cross(inside.steps, force), moment
+
+    def stiffness(self, time: float, state: State) -> Stiffness:
+        """Return how the loads of the nodes change with positions and triads.
+
+        By central differences for each segment, whose loads depend on its two ends alone.
+        """
+        start, end, steps = self._ends(state)
+        intrinsic = self.intrinsic_curvature(time)
+
+        def loads(start: np.ndarray, end: np.ndarray, steps: np.ndarray) -> np.ndarray:
+            inside = self._elasticity(start, end, steps, intrinsic)
+            return np.hstack(self._internal(inside))
+
+        columns = []
+        for unit in _SMALL * np.eye(3):
+            shift, turn = unit * self.spacing[:, None], rotations.exponential(unit)
+            back = rotations.conjugate(turn)
+            change = loads(start, end, steps + shift) - loads(start, end, steps - shift)
+            columns.append(change / self.spacing[:, None])
+            starts = rotations.multiply(turn, start), rotations.multiply(back, start)
+            columns.append(loads(starts[0], end, steps) - loads(starts[1], end, steps))
+            ends = rotations.multiply(turn, end), rotations.multiply(back, end)
+            columns.append(loads(start, ends[0], steps) - loads(start, ends[1], steps))
+        by_step, by_start, by_end = (
+            np.stack(columns[kind::3], axis=2) / (2.0 * _SMALL) for kind in range(3)
+        )
+        at_left, at_right = np.dstack([-by_step, by_start]), np.dstack([by_step, by_end])
+        held = np.empty(0, int) if self.base == "free" else self.first
+        matrix = self._assembled(at_left, at_right, held)
+        return Stiffness(matrix, held, self.rod_of_node)
+
+    def _assembled(self, at_left: np.ndarray, at_right: np.ndarray, held: np.ndarray) -> Any:
+        """Return the derivative of the loads of nodes, from the internal loads of segments.
+
+        Parameters
+        ----------
+        at_left, at_right : (segments, 9, 6) ndarray
+            Derivatives of force, half couple and moment for the nodes at both ends.
+        held : int ndarray
+            Nodes without loads on the fluid.
+        """
+        one, none = np.eye(3), np.zeros((3, 3))
+        on_left = np.block([[one, none, none], [none, one, one]])
+        on_right = np.block([[-one, none, none], [none, one, -one]])
+        left, right, count = self._left, self._right, len(self.positions)
+        blocks = [on @ at for on in (on_left, on_right) for at in (at_left, at_right)]
+        rows, data = np.concatenate([left, left, right, right]), np.concatenate(blocks)
+        data[np.isin(rows, held)] = 0.0
+        places = rows * count + np.concatenate([left, right, left, right])
+        order = np.argsort(places, kind="stable")
+        place, first = np.unique(places[order], return_index=True)
+        data = np.add.reduceat(data[order], first)
+        starts = np.searchsorted(place // count, np.arange(count + 1))
+        shape = 6 * count, 6 * count
+        return scipy.sparse.bsr_array((data, place % count, starts), shape=shape).tocsr()
 
     def lengths_of_points(self) -> np.ndarray:
         """Return half the lengths of the segments that meet at each node, (nodes,)."""
@@ -361,6 +429,12 @@ class Rods(Body):
             total[side] += values
             count[side] += 1.0
         return total / count
+
+
+def _halfway(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rotations from triads to others, and the triads halfway."""
+    between = rotations.relative(start, end)
+    return between, rotations.multiply(start, rotations.halved(between))
 
 
 def _checked(rod: Centerline, number: int) -> tuple[np.ndarray, np.ndarray]:

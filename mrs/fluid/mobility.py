@@ -202,6 +202,7 @@ class Mobility:
         self.lock = tc.Lock()
         self.evaluations = 0
         self._bodies, self._spinning = bodies, spinning
+        self._viscosity, self._epsilons, self._torqued = viscosity, epsilons, torqued
         self._sums: list[_Sum] = []
         self._sources: list[_Sources] = []
         # Bodies without forces have their own sums: among the sources their error would not count.
@@ -313,6 +314,33 @@ class Mobility:
         except tc.CancellationError:
             values = sources.flow(*flow, backend=DIRECT, boundary=boundary, comm=self._comm)
         return values[:, :3]
+
+    def matrix(self, rows: np.ndarray, places: np.ndarray, boundary: Boundary) -> np.ndarray:
+        """Return the mobility of some of the points alone, a matrix over forces and torques.
+
+        In a periodic box without their images.
+
+        Parameters
+        ----------
+        rows : (m,) int ndarray
+        places : (m, 3) ndarray
+        boundary : Boundary
+
+        Returns
+        -------
+        (6 m, 6 m) ndarray
+            (3 m, 3 m) if none of the points has a torque.
+        """
+        kind = _KINDS[bool(self._torqued[rows].any())]
+        within = FreeSpace() if isinstance(boundary, tc.Periodic) else boundary
+        size = kind.strength_size
+        out = np.empty((len(rows) * size, len(rows), size))
+        for epsilon in np.unique(self._epsilons[rows]):
+            own = np.flatnonzero(self._epsilons[rows] == epsilon)
+            kernel = kind(float(epsilon), self._viscosity)
+            columns = tc.matrix(kernel, places[own], places, boundary=within)
+            out[:, own] = columns.reshape(len(out), len(own), size)
+        return out.reshape(len(out), -1)
 
     def infos(self) -> list[dict[str, Any]]:
         """Return `treecode.Plan.info` of each sum in the last evaluation."""

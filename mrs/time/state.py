@@ -38,6 +38,11 @@ class State(NamedTuple):
         turned = rotations.multiply(rotations.exponential(z[count:]), self.quaternions)
         return State(z[:count], rotations.normalize(turned))
 
+    def coordinates_of(self, other: State) -> np.ndarray:
+        """Return the local coordinates about this state of another one, (P + Q, 3)."""
+        turn = rotations.multiply(other.quaternions, rotations.conjugate(self.quaternions))
+        return np.concatenate([other.positions, rotations.logarithm(turn)])
+
     def local_rates(self, z: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return dz/dt for velocities and angular velocities `rates`, (P + Q, 3)."""
         count = len(self.positions)

@@ -6,12 +6,14 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from mrs import check
-from mrs.time.integrators import METHODS, Problem
+from mrs.time.integrators import METHODS, Problem, Step
+from mrs.time.integrators.base import Linearized, NotStiff
 from mrs.time.integrators.spectral import MARGIN, spectral_radius
 from mrs.time.state import Arrays, State, below
 
@@ -78,6 +80,13 @@ class System(Protocol):
         """Return why a state cannot be; None if it can, as by default."""
         return None
 
+    def linearized(self, time: float, state: State) -> Any:
+        """Return an approximate Jacobian of the rates; None if there is none, as by default.
+
+        Its method `at` turns it to another state, as a `mrs.time.integrators.Linearized`.
+        """
+        return None
+
 
 class Watched:
     """A system that looks for something, such as a signal, before each evaluation.
@@ -101,6 +110,10 @@ class Watched:
     def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
         """Return why a state cannot be; None if it can."""
         return self._system.refusal(time, state)
+
+    def linearized(self, time: float, state: State) -> Any:
+        """Return an approximate Jacobian of the rates; None if there is none."""
+        return self._system.linearized(time, state)
 
 
 class NotFiniteError(ArithmeticError):
@@ -180,14 +193,22 @@ class Stepper:
         NotFiniteError
             With the first row of the coordinates that is not finite.
         """
-        rates = system.rates(time, state)
-        _require_finite(rates)
         z = state.coordinates()
         if self.memory is None:
             self.memory = self.method.init(z)
 
         lost: list[int] = []  # the row that ceased to be finite first takes all others with it
         blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
+
+        @cache
+        def rates() -> np.ndarray:
+            values = system.rates(time, state)
+            _require_finite(values)
+            return values
+
+        def linearized(time: float, where: State) -> Linearized:
+            found = system.linearized(time, where)
+            return NotStiff() if found is None else found.at(state)
 
         def rates_beside(z: np.ndarray) -> np.ndarray:
             return state.local_rates(z, system.rates(time, state.moved(z), state))
@@ -204,22 +225,24 @@ class Stepper:
         interval = stop - time
         retried = False
         while True:
-            if retried or self.steps >= self._renew_at:
+            if self._limited and (retried or self.steps >= self._renew_at):
                 small = system.perturbation
                 if not small.all():
-                    small = _filled(small, _SMALL * z, _SMALL * interval * rates)
-                self._estimate_radius(rates_beside, z, rates, small)
+                    small = _filled(small, _SMALL * z, _SMALL * interval * rates())
+                self._estimate_radius(rates_beside, z, rates(), small)
             h = self._size(interval, rates, system.error_scale)
             self.taken = h
             lost.clear()
             blamed.clear()
-            problem = Problem(f, rates, self.radius)
-            new, error, memory = self.method.step(problem, time, z, h, self.memory)
+            allowed = self.tolerance * system.error_scale
+            problem = Problem(f, rates, self.radius, state, linearized, allowed)
+            taken = self.method.step(problem, time, z, h, self.memory)
+            new = taken.z
             unit = system.error_scale
             if not unit.all():
                 rounding = _ROUNDING / self.tolerance * z  # is no error, even if nothing moves
-                unit = _filled(unit, new - z, h * rates, rounding)
-            ratio = self._error_ratio(new, error, unit)
+                unit = _filled(unit, new - z, h * rates(), rounding)
+            ratio = self._error_ratio(new, taken.error, unit)
             if ratio <= 1.0:
                 refused = system.refusal(time + h, state.moved(new))
                 if refused is None:
@@ -227,17 +250,25 @@ class Stepper:
                 ratio = math.inf
                 blamed.append(refused)
             lost.extend(_not_finite(new)[: 1 - len(lost)])
-            self._reject(h, ratio, interval, [*blamed, *map(NotFiniteError, lost)])
+            self._reject(h, ratio, interval, taken, [*blamed, *map(NotFiniteError, lost)])
+            self.memory = taken.again or self.memory
             retried = True
         self.steps += 1
-        self.memory = memory or {}
+        self.memory = taken.memory or {}
         if self.adaptive:
             # One shortened to end on time says nothing against the longer one that was wanted.
-            self.h = self._next(h, ratio, h if retried else max(5.0 * h, self.h or 0.0))
+            self.h = self._next(h, ratio, taken, h if retried else max(5.0 * h, self.h or 0.0))
         reached = stop if h == interval else time + h
         return reached, state.moved(new)
 
-    def _size(self, interval: float, rates: np.ndarray, scale: np.ndarray) -> float:
+    @property
+    def _limited(self) -> bool:
+        """Whether there is a limit of stability."""
+        return math.isfinite(self.method.stability_interval())
+
+    def _size(
+        self, interval: float, rates: Callable[[], np.ndarray], scale: np.ndarray
+    ) -> float:
         """Return the step to try: whole steps fill the interval evenly, none is left tiny."""
         limit = (
             self.method.stability_interval() / (MARGIN * self.radius) if self.radius else math.inf
@@ -246,10 +277,10 @@ class Stepper:
             self.h = self.fixed
             self._warn(limit * MARGIN / _WARNING)
         elif not self.adaptive:
-            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates, scale))
+            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates(), scale))
         elif self.h is None:
             first = 0.1 * math.sqrt(self.tolerance)
-            self.h = min(interval, self._time_to_move(first, rates, scale))
+            self.h = min(interval, self._time_to_move(first, rates(), scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
             wanted = max(min(wanted, self.longest), 0.01 * _SMALLEST * interval)
@@ -285,20 +316,25 @@ class Stepper:
         ratio = float(np.abs(error / scale).max(initial=0.0)) / self.tolerance
         return ratio if math.isfinite(ratio) else math.inf
 
-    def _reject(self, h: float, ratio: float, interval: float, causes: list[Exception]) -> None:
+    def _reject(
+        self, h: float, ratio: float, interval: float, taken: Step, causes: list[Exception]
+    ) -> None:
         """Shorten the step; where that is of no use raise the first of the causes."""
         if not self.adaptive:
             raise causes[0]
         self.rejections += 1
-        self.h = self._next(h, ratio, h)
+        self.h = self._next(h, ratio, taken._replace(growth=None), h)
         if self.h < _SMALLEST * interval:
             raise causes[0] if causes else StepSizeError(h)
 
-    def _next(self, h: float, ratio: float, largest: float) -> float:
+    def _next(self, h: float, ratio: float, taken: Step, largest: float) -> float:
         """Return the next step to try, of size `largest` at most (elementary controller)."""
-        assert self.method.error_order is not None
-        power = -1.0 / (self.method.error_order + 1)
+        order = taken.error_order or self.method.error_order
+        assert order is not None
+        power = -1.0 / (order + 1)
         best = h * _SAFETY * ratio**power if ratio > 0.0 else math.inf
+        if taken.growth is not None:
+            best = h * taken.growth if taken.growth != 1.0 else min(self.h, 1.2*h)
         return min(max(best, 0.1 * h), largest)
 
     def _estimate_radius(

@@ -3,23 +3,81 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mrs.time.state import Arrays
+from mrs.time.state import Arrays, State
 
 RightHandSide = Callable[[float, np.ndarray], np.ndarray]
 
 
-class Problem(NamedTuple):
-    """The equation dz/dt = f(t, z) that a step solves, and values at its start."""
+class Linearized(Protocol):
+    """An approximate Jacobian A of the rates."""
 
-    f: RightHandSide
-    rates: np.ndarray
-    """f(t, z) at the start."""
-    spectral_radius: float
-    """Of df/dz at the start, an estimate from below; 0 before the first one."""
+    def solve(self, g: float, right: np.ndarray) -> np.ndarray:
+        """Return x with (1 - g A) x = right, (P + Q, 3)."""
+
+
+class NotStiff:
+    """The Jacobian zero, of systems that tell nothing about theirs."""
+
+    def solve(self, g: float, right: np.ndarray) -> np.ndarray:
+        """Return the right side."""
+        return right
+
+
+class Problem:
+    """The equation dz/dt = f(t, z) that a step solves, and values at its start.
+
+    Parameters
+    ----------
+    f : callable
+    rates : callable
+        Returns f(t, z) at the start.
+    spectral_radius : float
+        Of df/dz at the start, an estimate from below; 0 before the first one.
+    state : State
+        At the start.
+    linearized : callable
+        Of a time and a state: returns the Jacobian as it was there, turned to the start.
+    unit : (P + Q, 1) ndarray
+        Allowed error of each coordinate; 0 where it is not known before the step.
+    """
+
+    def __init__(
+        self,
+        f: RightHandSide,
+        rates: Callable[[], np.ndarray],
+        spectral_radius: float = 0.0,
+        state: State | None = None,
+        linearized: Callable[[float, State], Linearized] | None = None,
+        unit: Any = 1.0,
+    ) -> None:
+        self.f, self._rates, self.spectral_radius = f, rates, spectral_radius
+        self._state, self._linearized, self._unit = state, linearized, unit
+
+    @cached_property
+    def rates(self) -> np.ndarray:
+        """f(t, z) at the start."""
+        return self._rates()
+
+    @property
+    def state(self) -> State:
+        """At the start."""
+        assert self._state is not None
+        return self._state
+
+    def linearized(self, time: float, state: State) -> Linearized:
+        """Return the Jacobian as it was at a time and in a state, turned to the start."""
+        return NotStiff() if self._linearized is None else self._linearized(time, state)
+
+    def size(self, change: np.ndarray) -> float:
+        """Return the largest change of a coordinate, in allowed errors."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.abs(change) / self._unit
+        return float(np.max(ratios, initial=0.0, where=self._unit > 0.0))
 
 
 class Step(NamedTuple):
@@ -31,13 +89,20 @@ class Step(NamedTuple):
     """An estimate of their error, from methods that have one."""
     memory: Arrays | None = None
     """Arrays that the method needs in the next step; None if it needs none."""
+    again: Arrays | None = None
+    """The arrays for another try, if the step is rejected; None if those that were given."""
+    growth: float | None = None
+    """How much longer the next step may be, from methods that choose it themselves."""
+    error_order: int | None = None
+    """Order of the solution that the error belongs to, where it is not always the same."""
 
 
 class Method(Protocol):
     """A method for dz/dt = f(t, z), of which rows are positions and rotation vectors.
 
     A step starts at rotation vectors of zero, because the triads at its start are the reference.
-    A multistep method remembers rates, which are the same in all reference frames, not coordinates.
+    A multistep method remembers rates or states, which are the same in all reference frames, not
+    coordinates.
     """
 
     @property
@@ -53,7 +118,10 @@ class Method(Protocol):
         """Order of the solution that the error estimate belongs to; None without an estimate."""
 
     def stability_interval(self) -> float:
-        """Return the largest h times lambda that is stable, for real negative eigenvalues."""
+        """Return the largest h times lambda that is stable, for real negative eigenvalues.
+
+        Of a method for which it is infinite no spectral radius is estimated.
+        """
 
     def init(self, z: np.ndarray) -> Arrays:
         """Return the `memory` of the first step: no arrays for a one-step method.

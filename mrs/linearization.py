@@ -1,0 +1,348 @@
+"""An approximate Jacobian of the rates of a scene, and solutions of linear equations with it.
+
+The rates of stiff bodies are u = M f(z): loads f by their stiffness K, motion by the mobility M.
+The approximation leaves out how M changes, and takes M in blocks: pieces of bodies alone, those
+closer than a blob together. Blocks feel each other through a few points of each, proxies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+
+from mrs import rotations
+from mrs.bodies.layout import Layout
+from mrs.fluid.mobility import Boundary, Mobility
+from mrs.stiffness import Stiffness
+from mrs.time.state import State
+
+_LARGEST = 400  # nodes of a block: its matrix has 36 times the square of that
+_KEPT = 4  # factorisations
+_PROXIES = 6  # of a piece
+_RIGHT = 1e-2  # relative residual of solutions
+_MOST = 12  # iterations
+
+
+class Nodes(NamedTuple):
+    """The nodes of all stiff bodies: where they are in the flat arrays.
+
+    Attributes
+    ----------
+    points, positions, triads : (n,) int ndarray
+        Rows.
+    held : (n,) bool ndarray
+        Whether the motion of a node does not follow from that of the fluid.
+    piece : (n,) int ndarray
+        Numbered through all bodies.
+    """
+
+    points: np.ndarray
+    positions: np.ndarray
+    triads: np.ndarray
+    held: np.ndarray
+    piece: np.ndarray
+
+
+class Block:
+    """Pieces that feel each other wholly: their part of the Jacobian, factorised.
+
+    Parameters
+    ----------
+    nodes : (m,) int ndarray
+        Among those of all stiff bodies.
+    mobility : (6 m, 6 m) ndarray
+    stiffness : (6 m, 6 m) scipy.sparse.csr_array
+    """
+
+    def __init__(self, nodes: np.ndarray, mobility: np.ndarray, stiffness: Any) -> None:
+        self.nodes = nodes
+        self._jacobian = np.asarray((stiffness.T @ mobility.T).T, np.float32)
+        self._factors: dict[float, Any] = {}
+
+    def solve(self, g: float, right: np.ndarray) -> np.ndarray:
+        """Return the solution of (1 - g J) x = right, (m, 6)."""
+        if g not in self._factors:
+            while len(self._factors) >= _KEPT:
+                del self._factors[next(iter(self._factors))]
+            matrix = np.multiply(self._jacobian, -g, dtype=np.float32)
+            matrix.flat[:: len(matrix) + 1] += 1.0
+            # Of the transpose, which is the matrix as Fortran has it.
+            lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
+            self._factors[g] = lu, pivots
+        lu, pivots = self._factors[g]
+        flat = np.asarray(right.reshape(-1), np.float32)
+        solution, _ = scipy.linalg.lapack.sgetrs(lu, pivots, flat, trans=1)
+        return np.asarray(solution, float).reshape(right.shape)
+
+
+class Proxies:
+    """A few points along each piece, through which blocks feel the forces of each other.
+
+    Parameters
+    ----------
+    nodes : Nodes
+    places : (n, 3) ndarray
+        Of the nodes.
+    epsilons : (n,) ndarray
+        Blob sizes.
+    block : (n,) int ndarray
+        Of each node.
+    made : callable
+        Makes the mobility of the proxies from their blob sizes.
+    boundary : Boundary
+    """
+
+    def __init__(
+        self,
+        nodes: Nodes,
+        places: np.ndarray,
+        epsilons: np.ndarray,
+        block: np.ndarray,
+        made: Callable[[np.ndarray], Mobility],
+        boundary: Boundary,
+    ) -> None:
+        self._weights = _weights(nodes.piece)
+        self._held = nodes.held
+        pieces = nodes.piece[np.sort(np.unique(nodes.piece, return_index=True)[1])]
+        first = np.searchsorted(nodes.piece, pieces)
+        self.places = _smoothed(nodes.piece, places)
+        sizes = np.repeat(epsilons[first], _PROXIES)
+        self._boundary = boundary
+        self._mobility = made(sizes)
+        of_block = np.repeat(block[first], _PROXIES)
+        self._within = [
+            (rows, self._mobility.matrix(rows, self.places[rows], boundary))
+            for rows in (np.flatnonzero(of_block == b) for b in np.unique(of_block))
+        ]
+
+    def velocities(self, forces: np.ndarray) -> np.ndarray:
+        """Return the velocities of nodes, (n, 3), by forces, (n, 3), of other blocks."""
+        pooled = self._weights.T @ forces
+        flow = self._mobility(self.places, pooled, self._boundary)
+        for rows, matrix in self._within:
+            flow[rows] -= (matrix @ pooled[rows].reshape(-1)).reshape(-1, 3)
+        velocities = self._weights @ flow
+        velocities[self._held] = 0.0
+        return np.asarray(velocities)
+
+
+class Linearization:
+    """The approximate Jacobian in a state; its parts turn with the nodes.
+
+    Parameters
+    ----------
+    time : float
+    state : State
+    nodes : Nodes
+    blocks : list of Block
+    stiffness : scipy.sparse.csr_array
+        Of all nodes.
+    proxies : Proxies or None
+    unit : (P + Q, 1) ndarray
+        Of errors of coordinates.
+    """
+
+    def __init__(
+        self,
+        time: float,
+        state: State,
+        nodes: Nodes,
+        blocks: list[Block],
+        stiffness: Any,
+        proxies: Proxies | None,
+        unit: np.ndarray,
+    ) -> None:
+        self.time, self.state = time, state
+        self._nodes, self._blocks, self._proxies = nodes, blocks, proxies
+        self._stiffness = stiffness
+        rows = nodes.positions, nodes.triads
+        self._rows = rows[0], rows[1] + len(state.positions)
+        self._unit = np.stack([np.tile(unit[rows], 3) for rows in self._rows], axis=1)
+
+    def at(self, state: State) -> Placed:
+        """Return it in the frames that nodes have in a state."""
+        before = rotations.conjugate(self.state.quaternions[self._nodes.triads])
+        return Placed(self, rotations.multiply(state.quaternions[self._nodes.triads], before))
+
+    def solve(self, g: float, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Return x with (1 - g A) x = right, (P + Q, 3), where nodes have turned."""
+        out = right.copy()
+        own = np.stack([right[rows] for rows in self._rows], axis=1)  # (n, 2, 3)
+        inside = rotations.rotate(rotations.conjugate(turn)[:, None], own)
+        solved = self._solve(g, turn, inside)
+        for rows, part in zip(
+            self._rows, rotations.rotate(turn[:, None], solved).swapaxes(0, 1), strict=True
+        ):
+            out[rows] = part
+        return out
+
+    def _solve(self, g: float, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Return the solution in the frames of the nodes, (n, 2, 3)."""
+        if self._proxies is None:
+            return self._block_solve(g, right)
+        unit, shape = self._unit, right.shape
+
+        def applied(scaled: np.ndarray) -> np.ndarray:
+            x = self._block_solve(g, scaled.reshape(shape) * unit)
+            return (scaled.reshape(shape) - g * self._coupling(turn, x) / unit).ravel()
+
+        operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
+        scaled, _ = scipy.sparse.linalg.gmres(
+            operator, (right / unit).ravel(), rtol=_RIGHT, restart=_MOST, maxiter=1
+        )
+        return self._block_solve(g, scaled.reshape(shape) * unit)
+
+    def _block_solve(self, g: float, right: np.ndarray) -> np.ndarray:
+        out = np.empty_like(right)
+        for block in self._blocks:
+            out[block.nodes] = block.solve(g, right[block.nodes])
+        return out
+
+    def _coupling(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the rates of nodes that changes x of others cause, in the frames of nodes."""
+        assert self._proxies is not None
+        forces = (self._stiffness @ x.reshape(-1)).reshape(-1, 6)[:, :3]
+        velocities = self._proxies.velocities(rotations.rotate(turn, forces))
+        out = np.zeros_like(x)
+        out[:, 0] = rotations.rotate(rotations.conjugate(turn), velocities)
+        return out
+
+
+class Placed:
+    """A linearization in the frames that nodes have now."""
+
+    def __init__(self, linearization: Linearization, turn: np.ndarray) -> None:
+        self._linearization, self._turn = linearization, turn
+
+    def solve(self, g: float, right: np.ndarray) -> np.ndarray:
+        """Return x with (1 - g A) x = right, (P + Q, 3)."""
+        return self._linearization.solve(g, self._turn, right)
+
+
+def linearized(
+    layout: Layout,
+    mobility: Mobility,
+    made: Callable[[np.ndarray], Mobility] | None,
+    epsilons: np.ndarray,
+    unit: np.ndarray,
+    boundary: Boundary,
+    time: float,
+    state: State,
+) -> Linearization | None:
+    """Return the approximate Jacobian in a state; None if no body is stiff.
+
+    Parameters
+    ----------
+    layout : Layout
+    mobility : Mobility
+        Of all points.
+    made : callable or None
+        Makes the mobility of proxies from their blob sizes, if there are to be any.
+    epsilons : (N,) ndarray
+        Blob sizes of all points.
+    unit : (P + Q, 1) ndarray
+        Of errors of coordinates.
+    boundary : Boundary
+    time : float
+    state : State
+    """
+    found = _stiff(layout, time, state)
+    if found is None:
+        return None
+    nodes, stiffness = found
+    points = layout.points(time, state)[nodes.points]
+    sizes = epsilons[nodes.points]
+    block = _blocks(nodes.piece, points, sizes)
+    blocks = []
+    for rows in np.split(np.argsort(block, kind="stable"), np.cumsum(np.bincount(block))[:-1]):
+        held = nodes.held[rows]
+        own = mobility.matrix(nodes.points[rows], points[rows], boundary)
+        parts = own.reshape(len(rows), 6, len(rows), 6)
+        parts[held], parts[:, :, held] = 0.0, 0.0
+        columns = (6 * rows[:, None] + np.arange(6)).ravel()
+        blocks.append(Block(rows, own, stiffness[columns][:, columns]))
+    proxies = None
+    if made is not None and len(blocks) > 1:
+        proxies = Proxies(nodes, points, sizes, block, made, boundary)
+    return Linearization(time, state, nodes, blocks, stiffness, proxies, unit)
+
+
+def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | None:
+    """Return the nodes of the stiff bodies, and the derivative of their loads."""
+    parts, matrices, pieces = [], [], 0
+    for part in layout.parts:
+        found: Stiffness | None = part.body.stiffness(time, part.state(state))
+        if found is None:
+            continue
+        held = np.zeros(len(found.pieces), bool)
+        held[found.held] = True
+        where = [np.arange(s.start, s.stop) for s in (part.points, part.positions, part.quaternions)]
+        parts.append((*where, held, found.pieces + pieces))
+        pieces += int(found.pieces.max()) + 1
+        matrices.append(found.matrix)
+    if not parts:
+        return None
+    nodes = Nodes(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return nodes, scipy.sparse.block_diag(matrices, format="csr")
+
+
+def _blocks(piece: np.ndarray, places: np.ndarray, epsilons: np.ndarray) -> np.ndarray:
+    """Return the block of each node: pieces with nodes closer than a blob are in one."""
+    tree = scipy.spatial.cKDTree(places)
+    first, second = tree.query_pairs(float(epsilons.max()), output_type="ndarray").T
+    near = np.linalg.norm(places[first] - places[second], axis=1)
+    touching = (near < np.maximum(epsilons[first], epsilons[second])) & (
+        piece[first] != piece[second]
+    )
+    pairs = piece[first[touching]], piece[second[touching]]
+    count = int(piece.max()) + 1
+    graph = scipy.sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(count, count))
+    _, group = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    alone = np.bincount(group[piece])[group] > _LARGEST
+    group[alone] = group.max() + 1 + np.flatnonzero(alone)
+    _, block = np.unique(group[piece], return_inverse=True)
+    return np.asarray(block)
+
+
+def _weights(piece: np.ndarray) -> Any:
+    """Return the interpolation from proxies to nodes, (n, proxies), by their order in a piece."""
+    rows, columns, values = [], [], []
+    for number, own in enumerate(_pieces(piece)):
+        along = np.linspace(-1.0, 1.0, len(own)) if len(own) > 1 else np.zeros(1)
+        rows.append(np.repeat(own, _PROXIES))
+        columns.append(np.tile(np.arange(_PROXIES) + _PROXIES * number, len(own)))
+        values.append(_lagrange(along).ravel())
+    places = np.concatenate(rows), np.concatenate(columns)
+    return scipy.sparse.csr_array((np.concatenate(values), places))
+
+
+def _smoothed(piece: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return the places of proxies on the lines through the nodes of each piece."""
+    out = []
+    for own in _pieces(piece):
+        along = np.linspace(-1.0, 1.0, len(own)) if len(own) > 1 else np.zeros(1)
+        out.append([np.interp(_chebyshev(), along, axis) for axis in places[own].T])
+    return np.ascontiguousarray(np.transpose(out, (0, 2, 1)).reshape(-1, 3))
+
+
+def _pieces(piece: np.ndarray) -> list[np.ndarray]:
+    """Return the nodes of each piece."""
+    return np.split(np.argsort(piece, kind="stable"), np.cumsum(np.bincount(piece))[:-1])
+
+
+def _chebyshev() -> np.ndarray:
+    """Return the points of Gauss and Chebyshev in increasing order."""
+    return -np.cos(np.pi * (np.arange(_PROXIES) + 0.5) / _PROXIES)
+
+
+def _lagrange(along: np.ndarray) -> np.ndarray:
+    """Return the polynomials that are 1 at one Chebyshev point each, (n, proxies)."""
+    points = _chebyshev()
+    values = np.ones((len(along), _PROXIES))
+    for j, point in enumerate(points):
+        for other in np.delete(points, j):
+            values[:, j] *= (along - other) / (point - other)
+    return values

@@ -1,0 +1,277 @@
+"""Backward differentiation of variable order and step, for stiff systems: one sum a step or two.
+
+Hairer & Wanner, Solving Ordinary Differential Equations II, chapter V; step control and the
+estimates of neighbouring orders as in L. F. Shampine & M. W. Reichelt, SIAM J. Sci. Comput. 18, 1
+(1997).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mrs.time.integrators.base import Linearized, Problem, Step
+from mrs.time.state import Arrays, State
+
+_HIGHEST = 4  # order
+_CORRECTIONS = 3  # in one step at most
+_ENOUGH = 0.2  # error that corrections may leave, in tolerances
+_SLOW = 0.35  # ratio of two corrections beyond which the Jacobian is renewed
+_FIRST_RATE = 0.1  # assumed of a new Jacobian until it is measured
+_MEASURED = 10  # steps after which the ratio of two corrections is measured again
+_CHANGED = 1.15  # of g = h / d0, from which the equations are factorised again
+_SAFETY, _GROWTH = 0.85, 2.0
+_WORTH = 1.2  # growth of a step below which it stays as it is
+_BIAS = 1.1  # advantage that another order must have
+
+
+@dataclass(frozen=True)
+class _Memory:
+    """All that one step hands to the next.
+
+    Attributes
+    ----------
+    times : (k,) ndarray
+        Of past states, the newest first.
+    positions, quaternions : (k, P, 3) and (k, Q, 4) ndarray
+    order, since : int
+        Order of the next step, and steps taken with it.
+    built_time, built_positions, built_quaternions
+        Where the Jacobian was approximated.
+    factored : float
+        The g of the factorised equations.
+    rate : float
+        Ratio of two corrections; 0 if it has not been measured since the Jacobian is new.
+    age : int
+        Steps since the ratio was measured.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    quaternions: np.ndarray
+    order: int
+    since: int
+    built_time: float
+    built_positions: np.ndarray
+    built_quaternions: np.ndarray
+    factored: float
+    rate: float
+    age: int
+
+    @classmethod
+    def begun(cls, t: float, state: State) -> _Memory:
+        """Return the memory of a first step."""
+        places, triads = state
+        return cls(
+            np.array([t]), places[None], triads[None], 1, 0, t, places, triads, 0.0, 0.0, 0
+        )
+
+    @property
+    def built(self) -> State:
+        """Where the Jacobian was approximated."""
+        return State(self.built_positions, self.built_quaternions)
+
+    def coordinates(self, state: State) -> np.ndarray:
+        """Return the past states in local coordinates about another, (k, P + Q, 3)."""
+        pairs = zip(self.positions, self.quaternions, strict=True)
+        return np.array([state.coordinates_of(State(*past)) for past in pairs])
+
+    def arrays(self) -> Arrays:
+        """Return it as arrays."""
+        return {name: np.asarray(value) for name, value in vars(self).items()}
+
+
+def _renewed(past: _Memory, t: float, state: State) -> _Memory:
+    """Return the memory with a Jacobian that is to be approximated here."""
+    places, triads = state
+    built = {"built_time": t, "built_positions": places, "built_quaternions": triads}
+    return replace(past, **built, factored=0.0, rate=0.0, age=0)
+
+
+def _remembered(memory: Arrays, t: float, state: State) -> _Memory:
+    """Return the memory of the last step, if the state is the one that it led to."""
+    if memory:
+        values = {k: v.item() if v.ndim == 0 else v for k, v in memory.items()}
+        last = _Memory(**values)
+        newest = State(last.positions[0], last.quaternions[0])
+        if last.times[0] == t and newest.equals(state):
+            return last
+    return _Memory.begun(t, state)
+
+
+class BackwardDifferentiation:
+    """Variable-step, variable-order BDF, of orders 1 to 4, with an approximate Jacobian.
+
+    A step begins with a prediction z0, the extrapolation of past states. Each correction
+    ``z <- z - (1 - g A)^-1 r(z) / d0`` takes one evaluation, with the residual
+    ``r(z) = sum_j d_j z_j - h f(z)`` and ``g = h / d0``. How fast corrections become smaller tells
+    how good the approximation A of the Jacobian is: it is renewed when they do not, and as few are
+    made as the tolerance needs.
+    """
+
+    name = "bdf"
+    order = _HIGHEST
+    error_order = _HIGHEST
+
+    def stability_interval(self) -> float:
+        """Return infinity: there is no limit for real negative eigenvalues."""
+        return math.inf
+
+    def init(self, z: np.ndarray) -> Arrays:
+        """Return nothing: there is no past."""
+        return {}
+
+    def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:
+        """Return the step, its error estimate and the wish for the next step."""
+        past = _remembered(memory, t, problem.state)
+        solved = self._solved(problem, t, h, past)
+        if solved is None:  # with a new Jacobian too
+            lost = np.full_like(z, np.nan)
+            return Step(lost, lost, again=_renewed(past, t, problem.state).arrays())
+        return self._judged(problem, t + h, *solved)
+
+    def _solved(
+        self, problem: Problem, t: float, h: float, past: _Memory
+    ) -> tuple[np.ndarray, _Memory, np.ndarray] | None:
+        """Return the corrected state, the memory, and past states in local coordinates."""
+        history = past.coordinates(problem.state)
+        ahead = t + h
+        order = past.order
+        d = _weights(ahead, past.times[:order]) * h
+        if len(past.times) > order:
+            predicted = _extrapolated(ahead, past.times, history, order)
+        else:
+            predicted = history[0] + h * problem.rates
+        known, g = np.tensordot(d[1:], history[:order], 1), h / d[0]
+        fresh = past.times[0] == past.built_time and past.built.equals(problem.state)
+
+        def residual(z: np.ndarray) -> np.ndarray:
+            return z + (known - h * problem.f(ahead, z)) / d[0]
+
+        first = residual(predicted)
+        while np.isfinite(first).all():
+            jacobian = problem.linearized(past.built_time, past.built)
+            if not past.factored or not 1.0 / _CHANGED < g / past.factored < _CHANGED:
+                past = replace(past, factored=g)
+            solve = _Solve(jacobian, past.factored, g)
+            done = _corrected(problem, solve, residual, predicted, first, past)
+            if done is not None:
+                return *done, history
+            if fresh:
+                break
+            fresh = True
+            past = _renewed(past, t, problem.state)
+        return None
+
+    def _judged(
+        self,
+        problem: Problem,
+        ahead: float,
+        new: np.ndarray,
+        past: _Memory,
+        history: np.ndarray,
+    ) -> Step:
+        """Return the step, with the order and the size that the next one should have."""
+        order, times = past.order, past.times
+        h = ahead - times[0]
+        errors = {}
+        for k in range(max(1, order - 1), min(_HIGHEST, order + 1) + 1):
+            if k < len(times):
+                missed = new - _extrapolated(ahead, times, history, k)
+                errors[k] = h / (ahead - times[k]) * missed
+        error = errors[order] if errors else 0.5 * (new - history[0] - h * problem.rates)
+        growth = {k: _growth(problem.size(e), k) for k, e in errors.items()}
+        best, since = order, past.since + 1
+        if order not in growth:
+            wanted = _growth(problem.size(error), 1)
+            best = 1
+        else:
+            wanted = growth[order]
+            if len(times) <= order or since > order:
+                for k, other in growth.items():
+                    if k != order and other > _BIAS * growth[order] and other > wanted:
+                        best, wanted = k, other
+        if len(times) < _HIGHEST and order not in growth:
+            best = 1
+        moved = problem.state.moved(new)
+        keep = _HIGHEST + 1
+        memory = replace(
+            past,
+            times=np.append(ahead, times)[:keep],
+            positions=np.concatenate([moved.positions[None], past.positions])[:keep],
+            quaternions=np.concatenate([moved.quaternions[None], past.quaternions])[:keep],
+            order=best,
+            since=0 if best != order else since,
+        )
+        if 1.0 <= wanted < _WORTH:
+            wanted = 1.0
+        return Step(new, error, memory.arrays(), past.arrays(), min(wanted, _GROWTH), order)
+
+
+class _Solve:
+    """Solutions of (1 - g A) x = r by equations that were factorised for another g nearby."""
+
+    def __init__(self, jacobian: Linearized, factored: float, g: float) -> None:
+        self._jacobian, self._factored = jacobian, factored
+        self._scale = 2.0 / (1.0 + g / factored)
+
+    def __call__(self, right: np.ndarray) -> np.ndarray:
+        return self._scale * self._jacobian.solve(self._factored, right)
+
+
+def _corrected(
+    problem: Problem,
+    solve: _Solve,
+    residual,
+    predicted: np.ndarray,
+    first: np.ndarray,
+    past: _Memory,
+) -> tuple[np.ndarray, _Memory] | None:
+    """Return the corrected prediction; None if corrections do not become smaller fast enough."""
+    rate, age = past.rate, past.age + 1
+    correction = -solve(first)
+    z, before = predicted + correction, problem.size(correction)
+    for number in range(1, _CORRECTIONS + 1):
+        if not math.isfinite(before):
+            return None
+        measured = rate > 0.0 and (age < _MEASURED or number > 1)
+        left = rate / (1.0 - rate) * before
+        if measured and left <= _ENOUGH:
+            return z, replace(past, rate=rate, age=age)
+        if number == _CORRECTIONS:
+            return None
+        correction = -solve(residual(z))
+        size = problem.size(correction)
+        z = z + correction
+        if not math.isfinite(size) or size > _SLOW * 2 * before:
+            return None
+        rate, age = max(size / before, 0.3 * rate, 1e-3) if before > 0 else 1e-3, 0
+        before = size
+    return None
+
+
+def _growth(size: float, order: int) -> float:
+    """Return how much longer a step may be whose error is `size` tolerances."""
+    return _SAFETY * size ** (-1.0 / (order + 1)) if size > 0.0 else _GROWTH
+
+
+def _weights(ahead: float, times: np.ndarray) -> np.ndarray:
+    """Return the weights that give the derivative at `ahead` of values there and at `times`."""
+    places = np.append(ahead, times) - ahead
+    scale = np.abs(places).max()
+    powers = np.vander(places / scale, increasing=True).T
+    return np.linalg.solve(powers, np.eye(len(places))[1]) / scale
+
+
+def _extrapolated(
+    ahead: float, times: np.ndarray, values: np.ndarray, order: int
+) -> np.ndarray:
+    """Return the polynomial through order + 1 values, at `ahead`."""
+    points = times[: order + 1]
+    weights = [
+        np.prod([(ahead - other) / (point - other) for other in points if other != point])
+        for point in points
+    ]
+    return np.tensordot(np.array(weights), values[: order + 1], 1)
