@@ -72,6 +72,9 @@ class Scene:
         Unit of errors of each coordinate; 0 where nothing has a length.
     perturbation : (P + Q, 1) float64 ndarray
         A small displacement of each coordinate; 0 likewise.
+    is_stiff : bool
+        Whether an implicit method is worth its while: there are stiff bodies, and no noise, which
+        breaks off the past of a multistep method after each step.
     longest_step : float
         That resolves the noise of the bodies; infinite without noise.
     """
@@ -108,6 +111,7 @@ class Scene:
         self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
         smallest = self.epsilons[layout.has_force].min(initial=np.inf)
+        self.is_stiff = not layout.noisy and any(body.is_stiff for body in self.bodies)
         self.longest_step = layout.longest_step(smallest)
         layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
         self._require_inside(layout.initial_points, 0.0)

@@ -49,6 +49,7 @@ class Body(Shown):
     has_torque = False
     has_spin = False
     has_given_motion = False
+    is_stiff = False
     noise: Noise | None = None
     made_with: Mapping[str, Any] = MappingProxyType({})
 

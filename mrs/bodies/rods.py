@@ -97,6 +97,7 @@ class Rods(Body):
     """
 
     kind = "rods"
+    is_stiff = True
     has_torque = True
     has_spin = True
 

@@ -25,7 +25,6 @@ from mrs.profile import Profile
 from mrs.run import signals
 from mrs.run.failures import SimulationError, explained, require_whole, require_whole_files
 from mrs.scene import Evaluation, Scene
-from mrs.time.integrators import METHODS
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import Arrays, State, below
 from mrs.time.stepper import Integrator, Stepper, System, Watched
@@ -91,7 +90,7 @@ class Simulation(Shown):
         *,
         forces: Sequence[Force] = (),
         backend: str | Backend = "auto",
-        integrator: str | Integrator = "rkc2",
+        integrator: str | Integrator = "auto",
         output: Output | None = None,
         trackers: Iterable[Tracker] = (),
         recipe: dict[str, Any] | None = None,
@@ -103,7 +102,7 @@ class Simulation(Shown):
         if not isinstance(backend, Backend):
             backend = Backend(check.one_of("backend", backend, Backend.names()))
         if not isinstance(integrator, Integrator):
-            integrator = Integrator(check.one_of("integrator", integrator, METHODS))
+            integrator = Integrator(check.one_of("integrator", integrator, Integrator.names()))
         self.integrator = integrator
         self.output = check.instance("output", output, Output, type(None))
         trackers = check.instances("trackers", trackers, Tracker)
@@ -113,6 +112,7 @@ class Simulation(Shown):
         self.state: State = self.scene.layout.initial
         self.stepper: Stepper = Stepper(integrator, self.scene.longest_step)
         self.moment: Moment = Moment(0.0, 0, 0.0)
+        self._corrected = 0  # steps after which the error of the sums was sampled
         self.trackers = [*([] if output is None else output.trackers(self)), *trackers]
         self.resumed = False
         self.written: dict[str, list[float]] = {}  # the last two times in each file of the run
@@ -192,6 +192,7 @@ class Simulation(Shown):
             "integrator": history,
             "evaluation": evaluation,
             "written": dict(self.written),
+            "corrected": self._corrected,
             "scene": self.description,
         }
         return arrays | self.state._asdict(), values
@@ -263,6 +264,7 @@ class Simulation(Shown):
         changed = {d.place.partition(".")[0] for d in found} - {"output"}
         self.time, self.state, self.resumed = values["time"], state, True
         self.written = dict(values["written"])
+        self._corrected = values["corrected"]
         if changed <= {"backend"}:
             self.stepper.restore(below(arrays, _INTEGRATOR), values["integrator"])
         else:
@@ -287,19 +289,20 @@ class Simulation(Shown):
         """
         self._step(self.scene, stop)
 
-    def _step(self, system: System, stop: float) -> None:
+    def _step(self, system: System, stop: float, end: float | None = None) -> None:
         with self.mobility.lock:
-            self._advance(system, stop)
+            self._advance(system, stop, end)
 
-    def _advance(self, system: System, stop: float) -> None:
+    def _advance(self, system: System, stop: float, end: float | None) -> None:
         before, of_scene = self.stepper.history(), self.scene.history()
         try:
             steps = self.stepper.steps
-            if steps and steps % _CORRECT_EVERY == 0:  # at the first one they were just chosen
+            if steps >= self._corrected + _CORRECT_EVERY:
                 self.scene.correct(self.time, self.state)
+                self._corrected = steps - steps % _CORRECT_EVERY
             ignoring = np.errstate(over="ignore", invalid="ignore")
             with self.profile.stage("integrator"), ignoring:
-                time, state = self.stepper.step(system, self.time, self.state, stop)
+                time, state = self.stepper.step(system, self.time, self.state, stop, end)
             require_whole(self, state)
             state = self.scene.kicked(time, state, self.stepper.taken, self.stepper.steps)
         except BaseException as error:  # ctrl-C as well: a checkpoint is of one moment
@@ -409,7 +412,8 @@ class Simulation(Shown):
         system = Watched(self.scene, stopping.check)
         while self.time < self.t_end:
             before = self.moment
-            self._step(system, next_stop(interrupts, self.time, self.t_end))
+            end = None if self.scene.layout.noisy else self.t_end
+            self._step(system, next_stop(interrupts, self.time, self.t_end), end)
             self.moment = Moment(self.time, self.stepper.steps, seconds())
             with self.profile.stage("output"):
                 self.ranks.lead(self.scene, partial(self._handle, before))

@@ -6,14 +6,13 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 
 from mrs import check
 from mrs.time.integrators import METHODS, Problem, Step
-from mrs.time.integrators.base import Linearized, NotStiff
+from mrs.time.integrators.base import Dense, Linearized, NotStiff
 from mrs.time.integrators.spectral import MARGIN, spectral_radius
 from mrs.time.state import Arrays, State, below
 
@@ -25,6 +24,11 @@ _SMALLEST = 1e-10  # a step that has shrunk by this against its interval is give
 _SMALL = 1e-6  # perturbation where nothing has a length, beside coordinates and ways to go
 _ROUNDING = 64.0 * np.finfo(float).eps  # of coordinates, in a step
 _MEMORY = "memory/"  # before the names of arrays that a method remembers
+AUTO = "auto"
+_IMPLICIT, _STIFF, _NOT_STIFF = "bdf", "rkc2", "bs32"  # that "auto" chooses from
+_FAILED = 3  # tries of one step, after which another method is taken
+# Of the stepper, with the state of the method all on which the next step depends.
+_REMEMBERED = "h", "taken", "radius", "steps", "rejections", "_renew_at", "_explicit_until"
 _LONGER = 1e-6  # of a step asked for, by which it may be longer: late times are rounded coarsely
 
 
@@ -36,11 +40,13 @@ class Integrator:
     Parameters
     ----------
     name : str
-        "rkc2", "euler", "heun", "rk4", "bs32", or one that was registered
+        "auto", "bdf", "rkc2", "bs32", "euler", "heun", "rk4", or one that was registered. "auto"
+        takes "bdf" for stiff bodies, and "rkc2" for a while where that fails. Else it takes "bs32",
+        and "rkc2" where stability would shorten its steps.
     dt : float or "auto", optional
-        A fixed step; or "auto": from the error with methods that estimate theirs ("rkc2", "bs32"),
-        with the others from the stability limit and so that nothing moves by more than a tenth of
-        its length.
+        A fixed step; or "auto": from the error with methods that estimate theirs ("bdf", "rkc2",
+        "bs32"), with the others from the stability limit and so that nothing moves by more than a
+        tenth of its length.
     tolerance : float, optional
         Error of one step allowed with "auto": of positions relative to the length of their body,
         of points in a scene without any length relative to their way in the step, of triads in
@@ -49,17 +55,24 @@ class Integrator:
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
 
-    name: str = "rkc2"
+    name: str = AUTO
     dt: float | Literal["auto"] = "auto"
     tolerance: float = 1e-4
 
     def __post_init__(self) -> None:
-        check.one_of("name", self.name, METHODS)
+        check.one_of("name", self.name, Integrator.names())
         if isinstance(self.dt, str) and self.dt != "auto":
             raise ValueError(f"dt must be 'auto' or a positive number, got {self.dt!r}")
         if self.dt != "auto":
             check.positive("dt", self.dt)
         check.number("tolerance", self.tolerance, 0.0, 1.0)
+        if self.name == AUTO and self.dt != "auto":
+            raise ValueError(f"dt must be 'auto' with the integrator {AUTO!r}, got {self.dt!r}")
+
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Return the allowed values of `name`."""
+        return AUTO, *METHODS
 
 
 class System(Protocol):
@@ -69,6 +82,8 @@ class System(Protocol):
     """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
     perturbation: np.ndarray
     """A small displacement of each coordinate, (P + Q, 1); 0 likewise."""
+    is_stiff: bool = False
+    """Whether an implicit method is worth its while."""
 
     def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3).
@@ -101,6 +116,7 @@ class Watched:
     def __init__(self, system: System, look: Callable[[], None]) -> None:
         self._system, self._look = system, look
         self.error_scale, self.perturbation = system.error_scale, system.perturbation
+        self.is_stiff = system.is_stiff
 
     def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
         """Return velocities and angular velocities, (P + Q, 3)."""
@@ -128,6 +144,63 @@ class StepSizeError(ArithmeticError):
     """No step, however small, keeps the error within the tolerance."""
 
 
+class _Local:
+    """A system in local coordinates about a state, and what went wrong there.
+
+    Attributes
+    ----------
+    lost : list of int
+        The row that ceased to be finite first, which takes all others with it.
+    blamed : list of NotFiniteValueError
+        Of a user's function that was led too far, or of a point that left the fluid.
+    """
+
+    def __init__(self, system: System, time: float, state: State) -> None:
+        self.system, self._time, self._state = system, time, state
+        self.lost: list[int] = []
+        self.blamed: list[check.NotFiniteValueError] = []
+        self._rates: np.ndarray | None = None
+
+    def rates(self) -> np.ndarray:
+        """Return the rates at the state itself."""
+        if self._rates is None:
+            rates = self.system.rates(self._time, self._state)
+            _require_finite(rates)
+            self._rates = rates
+        return self._rates
+
+    def f(self, t: float, z: np.ndarray) -> np.ndarray:
+        """Return dz/dt; not finite where it cannot be."""
+        try:
+            rates = self.system.rates(t, self._state.moved(z))
+            values = self._state.local_rates(z, rates)
+        except check.NotFiniteValueError as error:
+            self.blamed.append(error)
+            values = np.full_like(z, np.nan)
+        self.lost.extend(_not_finite(values)[: 1 - len(self.lost)])
+        return values
+
+    def beside(self, z: np.ndarray) -> np.ndarray:
+        """Return dz/dt near the state."""
+        rates = self.system.rates(self._time, self._state.moved(z), self._state)
+        return self._state.local_rates(z, rates)
+
+    def linearized(self, time: float, state: State) -> Linearized:
+        """Return the Jacobian as it was at a time and in a state, turned to this one."""
+        found = self.system.linearized(time, state)
+        return NotStiff() if found is None else found.at(self._state)
+
+    def forget(self) -> None:
+        """Begin a new try."""
+        self.lost.clear()
+        self.blamed.clear()
+
+    def causes(self, new: np.ndarray) -> list[Exception]:
+        """Return why a try failed that led to coordinates `new`."""
+        self.lost.extend(_not_finite(new)[: 1 - len(self.lost)])
+        return [*self.blamed, *map(NotFiniteError, self.lost)]
+
+
 class Stepper:
     """Advances a state, one accepted step at a time.
 
@@ -140,7 +213,8 @@ class Stepper:
 
     def __init__(self, integrator: Integrator, longest: float = math.inf) -> None:
         self.tolerance = integrator.tolerance
-        self.method = METHODS[integrator.name]
+        self._chooses = integrator.name == AUTO
+        self.method = METHODS[_NOT_STIFF if self._chooses else integrator.name]
         self.fixed = None if isinstance(integrator.dt, str) else float(integrator.dt)
         self.adaptive = self.fixed is None and self.method.error_order is not None
         self.longest = longest
@@ -158,6 +232,7 @@ class Stepper:
         self.steps: int = 0
         self.rejections: int = 0
         self._renew_at = 0
+        self._explicit_until = 0
         self._warned = False
 
     @property
@@ -169,106 +244,136 @@ class Stepper:
         """Return all values besides the state on which the next step depends."""
         arrays = {} if self.vector is None else {"vector": self.vector}
         arrays |= {_MEMORY + name: array for name, array in (self.memory or {}).items()}
-        names = ("h", "taken", "radius", "steps", "rejections", "_renew_at")
-        return arrays, {name.lstrip("_"): getattr(self, name) for name in names}
+        values = {name.lstrip("_"): getattr(self, name) for name in _REMEMBERED}
+        return arrays, values | {"method": self.method.name}
 
     def restore(self, arrays: Arrays, values: dict[str, Any]) -> None:
         """Take up a history."""
         self.vector = arrays.get("vector")
         self.memory = below(arrays, _MEMORY) or None
-        self.h, self.taken, self.radius = values["h"], values["taken"], values["radius"]
-        self.steps, self.rejections = values["steps"], values["rejections"]
-        self._renew_at = values["renew_at"]
+        self.method = METHODS[values["method"]]
+        for name in _REMEMBERED:
+            setattr(self, name, values[name.lstrip("_")])
 
     def restore_counts(self, values: dict[str, Any]) -> None:
         """Take up of a history how many steps there were, and choose the next one anew."""
         self.steps, self.rejections = values["steps"], values["rejections"]
-        self._renew_at = self.steps
+        self._renew_at = self._explicit_until = self.steps
 
-    def step(self, system: System, time: float, state: State, stop: float) -> tuple[float, State]:
+    def step(
+        self, system: System, time: float, state: State, stop: float, end: float | None = None
+    ) -> tuple[float, State]:
         """Return time and state after one accepted step, not beyond `stop`.
+
+        Parameters
+        ----------
+        system : System
+        time : float
+        state : State
+        stop : float
+        end : float, optional
+            Up to which a method with dense output may step beyond `stop`. The state returned is
+            then between two of its states, and the next call goes on from the later one.
 
         Raises
         ------
         NotFiniteError
             With the first row of the coordinates that is not finite.
         """
+        if self._chooses:
+            self._choose_implicit(system)
+        dense = self.method if isinstance(self.method, Dense) else None
+        if dense and self.memory:
+            ahead = dense.newest(self.memory, time, state)
+            if ahead is not None:
+                if stop <= ahead[0]:
+                    return stop, dense.at(self.memory, stop)
+                time, state = ahead
+        reached, state = self._step(system, time, state, end if dense and end else stop)
+        if reached <= stop:
+            return reached, state
+        assert dense and self.memory
+        return stop, dense.at(self.memory, stop)
+
+    def _step(
+        self, system: System, time: float, state: State, stop: float
+    ) -> tuple[float, State]:
+        """Return time and state after one accepted step, with which a step of the method ends."""
+        local = _Local(system, time, state)
         z = state.coordinates()
-        if self.memory is None:
-            self.memory = self.method.init(z)
-
-        lost: list[int] = []  # the row that ceased to be finite first takes all others with it
-        blamed: list[check.NotFiniteValueError] = []  # a user's function that was led too far
-
-        @cache
-        def rates() -> np.ndarray:
-            values = system.rates(time, state)
-            _require_finite(values)
-            return values
-
-        def linearized(time: float, where: State) -> Linearized:
-            found = system.linearized(time, where)
-            return NotStiff() if found is None else found.at(state)
-
-        def rates_beside(z: np.ndarray) -> np.ndarray:
-            return state.local_rates(z, system.rates(time, state.moved(z), state))
-
-        def f(t: float, z: np.ndarray) -> np.ndarray:
-            try:
-                values = state.local_rates(z, system.rates(t, state.moved(z)))
-            except check.NotFiniteValueError as error:
-                blamed.append(error)
-                values = np.full_like(z, np.nan)
-            lost.extend(_not_finite(values)[: 1 - len(lost)])
-            return values
-
         interval = stop - time
-        retried = False
+        tries = 0
         while True:
-            if self._limited and (retried or self.steps >= self._renew_at):
-                small = system.perturbation
-                if not small.all():
-                    small = _filled(small, _SMALL * z, _SMALL * interval * rates())
-                self._estimate_radius(rates_beside, z, rates(), small)
-            h = self._size(interval, rates, system.error_scale)
+            if self._limited and (tries or self.steps >= self._renew_at):
+                self._estimate_radius(local, z, interval)
+            if self._chooses:
+                self._choose_explicit()
+            if self.memory is None:
+                self.memory = self.method.init(z)
+            h = self._size(interval, local, system.error_scale)
             self.taken = h
-            lost.clear()
-            blamed.clear()
+            local.forget()
             allowed = self.tolerance * system.error_scale
-            problem = Problem(f, rates, self.radius, state, linearized, allowed)
+            problem = Problem(local.f, local.rates, self.radius, state, local.linearized, allowed)
             taken = self.method.step(problem, time, z, h, self.memory)
             new = taken.z
             unit = system.error_scale
             if not unit.all():
                 rounding = _ROUNDING / self.tolerance * z  # is no error, even if nothing moves
-                unit = _filled(unit, new - z, h * rates(), rounding)
+                unit = _filled(unit, new - z, h * local.rates(), rounding)
             ratio = self._error_ratio(new, taken.error, unit)
             if ratio <= 1.0:
                 refused = system.refusal(time + h, state.moved(new))
                 if refused is None:
                     break
                 ratio = math.inf
-                blamed.append(refused)
-            lost.extend(_not_finite(new)[: 1 - len(lost)])
-            self._reject(h, ratio, interval, taken, [*blamed, *map(NotFiniteError, lost)])
-            self.memory = taken.again or self.memory
-            retried = True
+                local.blamed.append(refused)
+            self._reject(h, ratio, interval, taken, local.causes(new))
+            tries += 1
+            if self._chooses and tries >= _FAILED and not math.isfinite(ratio):
+                self._give_up_implicit()
         self.steps += 1
         self.memory = taken.memory or {}
         if self.adaptive:
             # One shortened to end on time says nothing against the longer one that was wanted.
-            self.h = self._next(h, ratio, taken, h if retried else max(5.0 * h, self.h or 0.0))
+            self.h = self._next(h, ratio, taken, h if tries else max(5.0 * h, self.h or 0.0))
         reached = stop if h == interval else time + h
         return reached, state.moved(new)
+
+    def _choose_implicit(self, system: System) -> None:
+        """Take the implicit method for stiff bodies, unless it has just failed."""
+        implicit = self.method.name == _IMPLICIT
+        if system.is_stiff and not implicit and self.steps >= self._explicit_until:
+            self._use(_IMPLICIT)
+
+    def _choose_explicit(self) -> None:
+        """Take the explicit method of which accuracy, not stability, limits the step."""
+        accurate, stable = METHODS[_NOT_STIFF], METHODS[_STIFF]
+        if self.h is None or not self.radius or self.method.name == _IMPLICIT:
+            return
+        longest = _SAFETY * accurate.stability_interval() / (MARGIN * self.radius)
+        if self.method is accurate and self.h > longest:
+            self._use(stable.name)
+        elif self.method is stable and self.h < 0.5 * longest:
+            self._use(accurate.name)
+
+    def _give_up_implicit(self) -> None:
+        """Go on with an explicit method for a while, where corrections do not converge."""
+        if self.method.name == _IMPLICIT:
+            self._use(_STIFF)
+            self.h, self._renew_at = None, self.steps
+            self._explicit_until = self.steps + _RENEW
+
+    def _use(self, name: str) -> None:
+        """Step by another method from now on."""
+        self.method, self.memory = METHODS[name], None
 
     @property
     def _limited(self) -> bool:
         """Whether there is a limit of stability."""
         return math.isfinite(self.method.stability_interval())
 
-    def _size(
-        self, interval: float, rates: Callable[[], np.ndarray], scale: np.ndarray
-    ) -> float:
+    def _size(self, interval: float, local: _Local, scale: np.ndarray) -> float:
         """Return the step to try: whole steps fill the interval evenly, none is left tiny."""
         limit = (
             self.method.stability_interval() / (MARGIN * self.radius) if self.radius else math.inf
@@ -277,10 +382,10 @@ class Stepper:
             self.h = self.fixed
             self._warn(limit * MARGIN / _WARNING)
         elif not self.adaptive:
-            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, rates(), scale))
+            self.h = min(_SAFETY * limit, self._time_to_move(_LARGEST_MOVE, local.rates(), scale))
         elif self.h is None:
             first = 0.1 * math.sqrt(self.tolerance)
-            self.h = min(interval, self._time_to_move(first, rates(), scale))
+            self.h = min(interval, self._time_to_move(first, local.rates(), scale))
         wanted = min(self.h, _SAFETY * limit if self.adaptive else math.inf)
         if self.fixed is None:  # not zero, however fast the motion
             wanted = max(min(wanted, self.longest), 0.01 * _SMALLEST * interval)
@@ -323,6 +428,7 @@ class Stepper:
         if not self.adaptive:
             raise causes[0]
         self.rejections += 1
+        self.memory = taken.again or self.memory
         self.h = self._next(h, ratio, taken._replace(growth=None), h)
         if self.h < _SMALLEST * interval:
             raise causes[0] if causes else StepSizeError(h)
@@ -334,13 +440,14 @@ class Stepper:
         power = -1.0 / (order + 1)
         best = h * _SAFETY * ratio**power if ratio > 0.0 else math.inf
         if taken.growth is not None:
-            best = h * taken.growth if taken.growth != 1.0 else min(self.h, 1.2*h)
+            best = h * taken.growth
         return min(max(best, 0.1 * h), largest)
 
-    def _estimate_radius(
-        self, f: Callable, z: np.ndarray, rates: np.ndarray, scale: np.ndarray
-    ) -> None:
-        self.radius, self.vector = spectral_radius(f, z, rates, scale, self.vector)
+    def _estimate_radius(self, local: _Local, z: np.ndarray, interval: float) -> None:
+        rates, small = local.rates(), local.system.perturbation
+        if not small.all():
+            small = _filled(small, _SMALL * z, _SMALL * interval * rates)
+        self.radius, self.vector = spectral_radius(local.beside, z, rates, small, self.vector)
         self._renew_at = self.steps + _RENEW
 
 

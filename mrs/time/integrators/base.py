@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -95,6 +95,17 @@ class Step(NamedTuple):
     """How much longer the next step may be, from methods that choose it themselves."""
     error_order: int | None = None
     """Order of the solution that the error belongs to, where it is not always the same."""
+
+
+@runtime_checkable
+class Dense(Protocol):
+    """A method that has states between those of its steps, by the arrays it remembers."""
+
+    def newest(self, memory: Arrays, t: float, state: State) -> tuple[float, State] | None:
+        """Return time and state after the last step; None if it did not pass the given state."""
+
+    def at(self, memory: Arrays, t: float) -> State:
+        """Return the state at a time within the last step."""
 
 
 class Method(Protocol):

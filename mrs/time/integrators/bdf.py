@@ -21,7 +21,7 @@ _ENOUGH = 0.2  # error that corrections may leave, in tolerances
 _SLOW = 0.35  # ratio of two corrections beyond which the Jacobian is renewed
 _FIRST_RATE = 0.1  # assumed of a new Jacobian until it is measured
 _MEASURED = 10  # steps after which the ratio of two corrections is measured again
-_CHANGED = 1.15  # of g = h / d0, from which the equations are factorised again
+_CHANGED = 1.4
 _SAFETY, _GROWTH = 0.85, 2.0
 _WORTH = 1.2  # growth of a step below which it stays as it is
 _BIAS = 1.1  # advantage that another order must have
@@ -36,8 +36,8 @@ class _Memory:
     times : (k,) ndarray
         Of past states, the newest first.
     positions, quaternions : (k, P, 3) and (k, Q, 4) ndarray
-    order, since : int
-        Order of the next step, and steps taken with it.
+    order, since, used : int
+        Order of the next step, steps taken with it, and order of the last step.
     built_time, built_positions, built_quaternions
         Where the Jacobian was approximated.
     factored : float
@@ -53,6 +53,7 @@ class _Memory:
     quaternions: np.ndarray
     order: int
     since: int
+    used: int
     built_time: float
     built_positions: np.ndarray
     built_quaternions: np.ndarray
@@ -65,13 +66,24 @@ class _Memory:
         """Return the memory of a first step."""
         places, triads = state
         return cls(
-            np.array([t]), places[None], triads[None], 1, 0, t, places, triads, 0.0, 0.0, 0
+            np.array([t]), places[None], triads[None], 1, 0, 1, t, places, triads, 0.0, 0.0, 0
         )
 
     @property
     def built(self) -> State:
         """Where the Jacobian was approximated."""
         return State(self.built_positions, self.built_quaternions)
+
+    @property
+    def newest(self) -> State:
+        """After the last step."""
+        return State(self.positions[0], self.quaternions[0])
+
+    def at(self, t: float) -> State:
+        """Return the state at a time within the last step, by the polynomial of its order."""
+        order = min(self.used, len(self.times) - 1)
+        local = self.coordinates(self.newest)
+        return self.newest.moved(_extrapolated(t, self.times, local, order))
 
     def coordinates(self, state: State) -> np.ndarray:
         """Return the past states in local coordinates about another, (k, P + Q, 3)."""
@@ -90,13 +102,16 @@ def _renewed(past: _Memory, t: float, state: State) -> _Memory:
     return replace(past, **built, factored=0.0, rate=0.0, age=0)
 
 
+def _unpacked(memory: Arrays) -> _Memory:
+    """Return what `_Memory.arrays` made arrays of."""
+    return _Memory(**{k: v.item() if v.ndim == 0 else v for k, v in memory.items()})
+
+
 def _remembered(memory: Arrays, t: float, state: State) -> _Memory:
     """Return the memory of the last step, if the state is the one that it led to."""
     if memory:
-        values = {k: v.item() if v.ndim == 0 else v for k, v in memory.items()}
-        last = _Memory(**values)
-        newest = State(last.positions[0], last.quaternions[0])
-        if last.times[0] == t and newest.equals(state):
+        last = _unpacked(memory)
+        if last.times[0] == t and last.newest.equals(state):
             return last
     return _Memory.begun(t, state)
 
@@ -122,6 +137,19 @@ class BackwardDifferentiation:
     def init(self, z: np.ndarray) -> Arrays:
         """Return nothing: there is no past."""
         return {}
+
+    def newest(self, memory: Arrays, t: float, state: State) -> tuple[float, State] | None:
+        """Return time and state after the last step; None if it did not pass the given state."""
+        last = _unpacked(memory)
+        if last.times[0] <= t or not last.times[1:2].min(initial=np.inf) < t:
+            return None
+        if not last.at(t).equals(state):
+            return None
+        return float(last.times[0]), last.newest
+
+    def at(self, memory: Arrays, t: float) -> State:
+        """Return the state at a time within the last step."""
+        return _unpacked(memory).at(t)
 
     def step(self, problem: Problem, t: float, z: np.ndarray, h: float, memory: Arrays) -> Step:
         """Return the step, its error estimate and the wish for the next step."""
@@ -204,6 +232,7 @@ class BackwardDifferentiation:
             quaternions=np.concatenate([moved.quaternions[None], past.quaternions])[:keep],
             order=best,
             since=0 if best != order else since,
+            used=order,
         )
         if 1.0 <= wanted < _WORTH:
             wanted = 1.0
