@@ -109,7 +109,7 @@ class Proxies:
         pieces = nodes.piece[np.sort(np.unique(nodes.piece, return_index=True)[1])]
         first = np.searchsorted(nodes.piece, pieces)
         self.places = _smoothed(nodes.piece, places)
-        sizes = np.repeat(epsilons[first], _PROXIES)
+        sizes = np.maximum(np.repeat(epsilons[first], _PROXIES), self._reach())
         self._boundary = boundary
         self._mobility = made(sizes)
         of_block = np.repeat(block[first], _PROXIES)
@@ -117,6 +117,15 @@ class Proxies:
             (rows, self._mobility.matrix(rows, self.places[rows], boundary))
             for rows in (np.flatnonzero(of_block == b) for b in np.unique(of_block))
         ]
+
+    def _reach(self) -> np.ndarray:
+        """Return the distance to the next proxy, for each: the least size of its blob.
+
+        Smaller blobs made the approximate mobility of rods close to each other indefinite.
+        """
+        lines = self.places.reshape(-1, _PROXIES, 3)
+        steps = np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1)
+        return np.repeat(steps, _PROXIES)
 
     def velocities(self, forces: np.ndarray) -> np.ndarray:
         """Return the velocities of nodes, (n, 3), by forces, (n, 3), of other blocks."""
@@ -143,6 +152,8 @@ class Linearization:
     proxies : Proxies or None
     unit : (P + Q, 1) ndarray
         Of errors of coordinates.
+    motion : callable
+        Of points and their loads, (n, 2, 3): returns their motion, (n, 2, 3), by a sum.
     """
 
     def __init__(
@@ -154,8 +165,9 @@ class Linearization:
         stiffness: Any,
         proxies: Proxies | None,
         unit: np.ndarray,
+        motion: Callable[[np.ndarray, np.ndarray], np.ndarray],
     ) -> None:
-        self.time, self.state = time, state
+        self.time, self.state, self._motion = time, state, motion
         self._nodes, self._blocks, self._proxies = nodes, blocks, proxies
         self._stiffness = stiffness
         rows = nodes.positions, nodes.triads
@@ -176,6 +188,18 @@ class Linearization:
         for rows, part in zip(
             self._rows, rotations.rotate(turn[:, None], solved).swapaxes(0, 1), strict=True
         ):
+            out[rows] = part
+        return out
+
+    def product(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the rates that changes x of coordinates cause, where nodes have turned."""
+        own = np.stack([x[rows] for rows in self._rows], axis=1)
+        inside = rotations.rotate(rotations.conjugate(turn)[:, None], own)
+        loads = (self._stiffness @ inside.reshape(-1)).reshape(-1, 2, 3)
+        motion = self._motion(self._nodes.points, rotations.rotate(turn[:, None], loads))
+        motion[self._nodes.held] = 0.0
+        out = np.zeros_like(x)
+        for rows, part in zip(self._rows, motion.swapaxes(0, 1), strict=True):
             out[rows] = part
         return out
 
@@ -221,6 +245,10 @@ class Placed:
         """Return x with (1 - g A) x = right, (P + Q, 3)."""
         return self._linearization.solve(g, self._turn, right)
 
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """Return the motion that changes x of the coordinates cause, (P + Q, 3), by a sum."""
+        return self._linearization.product(self._turn, x)
+
 
 def linearized(
     layout: Layout,
@@ -228,6 +256,7 @@ def linearized(
     made: Callable[[np.ndarray], Mobility] | None,
     epsilons: np.ndarray,
     unit: np.ndarray,
+    motion: Callable[[np.ndarray, np.ndarray], np.ndarray],
     boundary: Boundary,
     time: float,
     state: State,
@@ -245,6 +274,8 @@ def linearized(
         Blob sizes of all points.
     unit : (P + Q, 1) ndarray
         Of errors of coordinates.
+    motion : callable
+        See `Linearization`.
     boundary : Boundary
     time : float
     state : State
@@ -267,7 +298,7 @@ def linearized(
     proxies = None
     if made is not None and len(blocks) > 1:
         proxies = Proxies(nodes, points, sizes, block, made, boundary)
-    return Linearization(time, state, nodes, blocks, stiffness, proxies, unit)
+    return Linearization(time, state, nodes, blocks, stiffness, proxies, unit, motion)
 
 
 def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | None:

@@ -216,11 +216,26 @@ class Scene:
                     None if periodic else self._mobility_of_proxies,
                     self.epsilons,
                     self.error_scale,
+                    self._motion_of,
                     boundary,
                     time,
                     state,
                 )
         return last
+
+    @joint
+    def _motion_of(self, rows: np.ndarray, loads: np.ndarray) -> np.ndarray:
+        """Return the motion, (n, 2, 3), that loads of some points cause there.
+
+        The points are those of the last evaluation: their tree is there already.
+        """
+        assert self._last is not None
+        everywhere = np.zeros((self.layout.count, 6))
+        everywhere[rows] = loads.reshape(-1, 6)
+        points, boundary = self._last.points, self.fluid.boundary_at(self._last.time)
+        with self.mobility.lock, self.profile.stage("sums"):
+            motion = self.mobility(points, everywhere, boundary)
+        return motion[rows].reshape(-1, 2, 3)
 
     def _mobility_of_proxies(self, epsilons: np.ndarray) -> Mobility:
         """Return the mobility of points with forces alone, by exact sums."""

@@ -19,6 +19,9 @@ class Linearized(Protocol):
     def solve(self, g: float, right: np.ndarray) -> np.ndarray:
         """Return x with (1 - g A) x = right, (P + Q, 3)."""
 
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """Return the better approximation J x, (P + Q, 3), which takes a sum."""
+
 
 class NotStiff:
     """The Jacobian zero, of systems that tell nothing about theirs."""
@@ -26,6 +29,10 @@ class NotStiff:
     def solve(self, g: float, right: np.ndarray) -> np.ndarray:
         """Return the right side."""
         return right
+
+    def product(self, x: np.ndarray) -> np.ndarray:
+        """Return zero."""
+        return np.zeros_like(x)
 
 
 class Problem:
@@ -72,6 +79,11 @@ class Problem:
     def linearized(self, time: float, state: State) -> Linearized:
         """Return the Jacobian as it was at a time and in a state, turned to the start."""
         return NotStiff() if self._linearized is None else self._linearized(time, state)
+
+    @property
+    def units(self) -> np.ndarray:
+        """Allowed error of each coordinate; 1 where it is not known."""
+        return np.where(self._unit > 0.0, self._unit, 1.0)
 
     def size(self, change: np.ndarray) -> float:
         """Return the largest change of a coordinate, in allowed errors."""

@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
 from mrs.time.integrators.base import Linearized, Problem, Step
 from mrs.time.state import Arrays, State
@@ -21,6 +22,8 @@ _ENOUGH = 0.2  # error that corrections may leave, in tolerances
 _SLOW = 0.35  # ratio of two corrections beyond which the Jacobian is renewed
 _FIRST_RATE = 0.1  # assumed of a new Jacobian until it is measured
 _MEASURED = 10  # steps after which the ratio of two corrections is measured again
+_KRYLOV = 50  # steps with iterations over sums, where corrections alone do not converge
+_RIGHT, _ITERATIONS = 0.1, 8  # relative residual of these iterations, and how many at most
 _CHANGED = 1.4
 _SAFETY, _GROWTH = 0.85, 2.0
 _WORTH = 1.2  # growth of a step below which it stays as it is
@@ -46,6 +49,8 @@ class _Memory:
         Ratio of two corrections; 0 if it has not been measured since the Jacobian is new.
     age : int
         Steps since the ratio was measured.
+    krylov : int
+        Steps to be taken with iterations over sums.
     """
 
     times: np.ndarray
@@ -60,13 +65,14 @@ class _Memory:
     factored: float
     rate: float
     age: int
+    krylov: int
 
     @classmethod
     def begun(cls, t: float, state: State) -> _Memory:
         """Return the memory of a first step."""
         places, triads = state
         return cls(
-            np.array([t]), places[None], triads[None], 1, 0, 1, t, places, triads, 0.0, 0.0, 0
+            np.array([t]), places[None], triads[None], 1, 0, 1, t, places, triads, 0.0, 0.0, 0, 0
         )
 
     @property
@@ -183,14 +189,16 @@ class BackwardDifferentiation:
             jacobian = problem.linearized(past.built_time, past.built)
             if not past.factored or not 1.0 / _CHANGED < g / past.factored < _CHANGED:
                 past = replace(past, factored=g)
-            solve = _Solve(jacobian, past.factored, g)
+            solve = _Solve(jacobian, past.factored, g, problem if past.krylov else None)
             done = _corrected(problem, solve, residual, predicted, first, past)
             if done is not None:
                 return *done, history
-            if fresh:
+            if not fresh:
+                fresh, past = True, _renewed(past, t, problem.state)
+            elif not past.krylov:
+                past = replace(past, krylov=_KRYLOV, rate=0.0)
+            else:
                 break
-            fresh = True
-            past = _renewed(past, t, problem.state)
         return None
 
     def _judged(
@@ -233,6 +241,7 @@ class BackwardDifferentiation:
             order=best,
             since=0 if best != order else since,
             used=order,
+            krylov=max(0, past.krylov - 1),
         )
         if 1.0 <= wanted < _WORTH:
             wanted = 1.0
@@ -240,14 +249,36 @@ class BackwardDifferentiation:
 
 
 class _Solve:
-    """Solutions of (1 - g A) x = r by equations that were factorised for another g nearby."""
+    """Solutions of (1 - g A) x = r by equations that were factorised for another g nearby.
 
-    def __init__(self, jacobian: Linearized, factored: float, g: float) -> None:
-        self._jacobian, self._factored = jacobian, factored
+    With a problem, of (1 - g J) x = r, by iterations with products of J, a sum each.
+    """
+
+    def __init__(
+        self, jacobian: Linearized, factored: float, g: float, problem: Problem | None
+    ) -> None:
+        self._jacobian, self._factored, self._g, self._problem = jacobian, factored, g, problem
         self._scale = 2.0 / (1.0 + g / factored)
 
     def __call__(self, right: np.ndarray) -> np.ndarray:
+        return self._directly(right) if self._problem is None else self._iterated(right)
+
+    def _directly(self, right: np.ndarray) -> np.ndarray:
         return self._scale * self._jacobian.solve(self._factored, right)
+
+    def _iterated(self, right: np.ndarray) -> np.ndarray:
+        assert self._problem is not None
+        shape, unit = right.shape, self._problem.units
+
+        def applied(scaled: np.ndarray) -> np.ndarray:
+            x = self._directly(scaled.reshape(shape) * unit)
+            return ((x - self._g * self._jacobian.product(x)) / unit).ravel()
+
+        operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
+        scaled, _ = scipy.sparse.linalg.gmres(
+            operator, (right / unit).ravel(), rtol=_RIGHT, restart=_ITERATIONS, maxiter=1
+        )
+        return self._directly(scaled.reshape(shape) * unit)
 
 
 def _corrected(
