@@ -59,7 +59,7 @@ class Block:
 
     def __init__(self, nodes: np.ndarray, mobility: np.ndarray, stiffness: Any) -> None:
         self.nodes = nodes
-        self._jacobian = np.asarray((stiffness.T @ mobility.T).T, np.float32)
+        self._jacobian = np.asarray((stiffness.T @ mobility.T).T, np.float64)
         self._factors: dict[float, Any] = {}
 
     def solve(self, g: float, right: np.ndarray) -> np.ndarray:
@@ -67,14 +67,14 @@ class Block:
         if g not in self._factors:
             while len(self._factors) >= _KEPT:
                 del self._factors[next(iter(self._factors))]
-            matrix = np.multiply(self._jacobian, -g, dtype=np.float32)
+            matrix = np.multiply(self._jacobian, -g, dtype=np.float64)
             matrix.flat[:: len(matrix) + 1] += 1.0
             # Of the transpose, which is the matrix as Fortran has it.
-            lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
+            lu, pivots, _ = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=1)
             self._factors[g] = lu, pivots
         lu, pivots = self._factors[g]
-        flat = np.asarray(right.reshape(-1), np.float32)
-        solution, _ = scipy.linalg.lapack.sgetrs(lu, pivots, flat, trans=1)
+        flat = np.asarray(right.reshape(-1), np.float64)
+        solution, _ = scipy.linalg.lapack.dgetrs(lu, pivots, flat, trans=1)
         return np.asarray(solution, float).reshape(right.shape)
 
 
@@ -204,20 +204,25 @@ class Linearization:
         return out
 
     def _solve(self, g: float, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Return the solution in the frames of the nodes, (n, 2, 3)."""
+        """Return the solution in the frames of the nodes, (n, 2, 3).
+
+        Preconditioned from the left, so that residuals are errors of coordinates, not of rates.
+        """
+        alone = self._block_solve(g, right)
         if self._proxies is None:
-            return self._block_solve(g, right)
+            return alone
         unit, shape = self._unit, right.shape
 
         def applied(scaled: np.ndarray) -> np.ndarray:
-            x = self._block_solve(g, scaled.reshape(shape) * unit)
-            return (scaled.reshape(shape) - g * self._coupling(turn, x) / unit).ravel()
+            x = scaled.reshape(shape) * unit
+            others = self._block_solve(g, g * self._coupling(turn, x))
+            return ((x - others) / unit).ravel()
 
         operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
         scaled, _ = scipy.sparse.linalg.gmres(
-            operator, (right / unit).ravel(), rtol=_RIGHT, restart=_MOST, maxiter=1
+            operator, (alone / unit).ravel(), rtol=_RIGHT, restart=_MOST, maxiter=1
         )
-        return self._block_solve(g, scaled.reshape(shape) * unit)
+        return scaled.reshape(shape) * unit
 
     def _block_solve(self, g: float, right: np.ndarray) -> np.ndarray:
         out = np.empty_like(right)
@@ -310,7 +315,9 @@ def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | Non
             continue
         held = np.zeros(len(found.pieces), bool)
         held[found.held] = True
-        where = [np.arange(s.start, s.stop) for s in (part.points, part.positions, part.quaternions)]
+        where = [
+            np.arange(s.start, s.stop) for s in (part.points, part.positions, part.quaternions)
+        ]
         parts.append((*where, held, found.pieces + pieces))
         pieces += int(found.pieces.max()) + 1
         matrices.append(found.matrix)

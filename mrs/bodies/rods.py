@@ -303,16 +303,17 @@ class Rods(Body):
         """
         start, end, steps = self._ends(state)
         intrinsic = self.intrinsic_curvature(time)
+        shift = self._elasticity(start, end, steps, intrinsic).shift
 
         def loads(start: np.ndarray, end: np.ndarray, steps: np.ndarray) -> np.ndarray:
             inside = self._elasticity(start, end, steps, intrinsic)
-            return np.hstack(self._internal(inside))
+            return np.hstack(self._internal(inside._replace(shift=inside.shift - shift)))
 
         columns = []
         for unit in _SMALL * np.eye(3):
-            shift, turn = unit * self.spacing[:, None], rotations.exponential(unit)
+            move, turn = unit * self.spacing[:, None], rotations.exponential(unit)
             back = rotations.conjugate(turn)
-            change = loads(start, end, steps + shift) - loads(start, end, steps - shift)
+            change = loads(start, end, steps + move) - loads(start, end, steps - move)
             columns.append(change / self.spacing[:, None])
             starts = rotations.multiply(turn, start), rotations.multiply(back, start)
             columns.append(loads(starts[0], end, steps) - loads(starts[1], end, steps))

@@ -26,9 +26,19 @@ _ROUNDING = 64.0 * np.finfo(float).eps  # of coordinates, in a step
 _MEMORY = "memory/"  # before the names of arrays that a method remembers
 AUTO = "auto"
 _IMPLICIT, _STIFF, _NOT_STIFF = "bdf", "rkc2", "bs32"  # that "auto" chooses from
-_FAILED = 3  # tries of one step, after which another method is taken
+_FAILED = 3.0  # tries, after which another method is taken
+_FORGIVEN = 0.2  # of them, for each step that succeeds
 # Of the stepper, with the state of the method all on which the next step depends.
-_REMEMBERED = "h", "taken", "radius", "steps", "rejections", "_renew_at", "_explicit_until"
+_REMEMBERED = (
+    "h",
+    "taken",
+    "radius",
+    "steps",
+    "rejections",
+    "_renew_at",
+    "_explicit_until",
+    "_failures",
+)
 _LONGER = 1e-6  # of a step asked for, by which it may be longer: late times are rounded coarsely
 
 
@@ -233,6 +243,7 @@ class Stepper:
         self.rejections: int = 0
         self._renew_at = 0
         self._explicit_until = 0
+        self._failures = 0.0
         self._warned = False
 
     @property
@@ -295,9 +306,7 @@ class Stepper:
         assert dense and self.memory
         return stop, dense.at(self.memory, stop)
 
-    def _step(
-        self, system: System, time: float, state: State, stop: float
-    ) -> tuple[float, State]:
+    def _step(self, system: System, time: float, state: State, stop: float) -> tuple[float, State]:
         """Return time and state after one accepted step, with which a step of the method ends."""
         local = _Local(system, time, state)
         z = state.coordinates()
@@ -330,9 +339,11 @@ class Stepper:
                 local.blamed.append(refused)
             self._reject(h, ratio, interval, taken, local.causes(new))
             tries += 1
-            if self._chooses and tries >= _FAILED and not math.isfinite(ratio):
+            self._failures += not math.isfinite(ratio)
+            if self._chooses and self._failures >= _FAILED:
                 self._give_up_implicit()
         self.steps += 1
+        self._failures = max(0.0, self._failures - _FORGIVEN)
         self.memory = taken.memory or {}
         if self.adaptive:
             # One shortened to end on time says nothing against the longer one that was wanted.
@@ -361,7 +372,7 @@ class Stepper:
         """Go on with an explicit method for a while, where corrections do not converge."""
         if self.method.name == _IMPLICIT:
             self._use(_STIFF)
-            self.h, self._renew_at = None, self.steps
+            self.h, self._renew_at, self._failures = None, self.steps, 0.0
             self._explicit_until = self.steps + _RENEW
 
     def _use(self, name: str) -> None:

@@ -17,12 +17,12 @@ from mrs.time.integrators.base import Linearized, Problem, Step
 from mrs.time.state import Arrays, State
 
 _HIGHEST = 4  # order
-_CORRECTIONS = 3  # in one step at most
+_CORRECTIONS = 4  # in one step at most
 _ENOUGH = 0.2  # error that corrections may leave, in tolerances
-_SLOW = 0.35  # ratio of two corrections beyond which the Jacobian is renewed
-_FIRST_RATE = 0.1  # assumed of a new Jacobian until it is measured
+_DIVERGENT = 2.0  # ratio of two corrections from which there is no hope
+_LEAST_RATE, _LARGEST_RATE = 1e-3, 0.9  # of ratios that are taken for the rate of convergence
 _MEASURED = 10  # steps after which the ratio of two corrections is measured again
-_KRYLOV = 50  # steps with iterations over sums, where corrections alone do not converge
+_KRYLOV = 20  # steps with iterations over sums, where corrections alone do not converge
 _RIGHT, _ITERATIONS = 0.1, 8  # relative residual of these iterations, and how many at most
 _CHANGED = 1.4
 _SAFETY, _GROWTH = 0.85, 2.0
@@ -87,6 +87,8 @@ class _Memory:
 
     def at(self, t: float) -> State:
         """Return the state at a time within the last step, by the polynomial of its order."""
+        if t == self.times[0]:
+            return self.newest
         order = min(self.used, len(self.times) - 1)
         local = self.coordinates(self.newest)
         return self.newest.moved(_extrapolated(t, self.times, local, order))
@@ -163,7 +165,7 @@ class BackwardDifferentiation:
         solved = self._solved(problem, t, h, past)
         if solved is None:  # with a new Jacobian too
             lost = np.full_like(z, np.nan)
-            return Step(lost, lost, again=_renewed(past, t, problem.state).arrays())
+            return Step(lost, lost)
         return self._judged(problem, t + h, *solved)
 
     def _solved(
@@ -179,7 +181,8 @@ class BackwardDifferentiation:
         else:
             predicted = history[0] + h * problem.rates
         known, g = np.tensordot(d[1:], history[:order], 1), h / d[0]
-        fresh = past.times[0] == past.built_time and past.built.equals(problem.state)
+        there = problem.state.moved(predicted)
+        fresh = False
 
         def residual(z: np.ndarray) -> np.ndarray:
             return z + (known - h * problem.f(ahead, z)) / d[0]
@@ -194,7 +197,7 @@ class BackwardDifferentiation:
             if done is not None:
                 return *done, history
             if not fresh:
-                fresh, past = True, _renewed(past, t, problem.state)
+                fresh, past = True, _renewed(past, ahead, there)
             elif not past.krylov:
                 past = replace(past, krylov=_KRYLOV, rate=0.0)
             else:
@@ -210,42 +213,52 @@ class BackwardDifferentiation:
         history: np.ndarray,
     ) -> Step:
         """Return the step, with the order and the size that the next one should have."""
-        order, times = past.order, past.times
-        h = ahead - times[0]
-        errors = {}
-        for k in range(max(1, order - 1), min(_HIGHEST, order + 1) + 1):
-            if k < len(times):
-                missed = new - _extrapolated(ahead, times, history, k)
-                errors[k] = h / (ahead - times[k]) * missed
-        error = errors[order] if errors else 0.5 * (new - history[0] - h * problem.rates)
-        growth = {k: _growth(problem.size(e), k) for k, e in errors.items()}
-        best, since = order, past.since + 1
-        if order not in growth:
-            wanted = _growth(problem.size(error), 1)
-            best = 1
-        else:
-            wanted = growth[order]
-            if len(times) <= order or since > order:
-                for k, other in growth.items():
-                    if k != order and other > _BIAS * growth[order] and other > wanted:
-                        best, wanted = k, other
-        if len(times) < _HIGHEST and order not in growth:
-            best = 1
-        moved = problem.state.moved(new)
-        keep = _HIGHEST + 1
-        memory = replace(
-            past,
-            times=np.append(ahead, times)[:keep],
-            positions=np.concatenate([moved.positions[None], past.positions])[:keep],
-            quaternions=np.concatenate([moved.quaternions[None], past.quaternions])[:keep],
-            order=best,
-            since=0 if best != order else since,
-            used=order,
-            krylov=max(0, past.krylov - 1),
-        )
+        order, best, since = past.order, past.order, past.since + 1
+        errors = _errors(ahead, new, past, history)
+        if errors:
+            error = errors[order]
+            growth = {k: _growth(problem.size(e), k) for k, e in errors.items()}
+            other = max(growth, key=lambda k: growth[k])
+            if since > order and growth[other] > _BIAS * growth[order]:
+                best, since = other, 0
+            wanted = growth[best]
+        else:  # of the first step, which the rates predict
+            h = ahead - past.times[0]
+            error = 0.5 * (new - history[0] - h * problem.rates)
+            wanted = _growth(problem.size(error), order)
         if 1.0 <= wanted < _WORTH:
             wanted = 1.0
+        memory = _advanced(past, ahead, problem.state.moved(new), best, since)
         return Step(new, error, memory.arrays(), past.arrays(), min(wanted, _GROWTH), order)
+
+
+def _errors(
+    ahead: float, new: np.ndarray, past: _Memory, history: np.ndarray
+) -> dict[int, np.ndarray]:
+    """Return estimates of the error of a step of the same order, and of orders next to it."""
+    times, errors = past.times, {}
+    for k in range(max(1, past.order - 1), min(_HIGHEST, past.order + 1, len(times) - 1) + 1):
+        missed = new - _extrapolated(ahead, times, history, k)
+        errors[k] = (ahead - times[0]) / (ahead - times[k]) * missed
+    return errors
+
+
+def _advanced(past: _Memory, ahead: float, state: State, order: int, since: int) -> _Memory:
+    """Return the memory after a step to a time and a state."""
+
+    def added(new: np.ndarray | float, old: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.asarray(new)[None], old])[: _HIGHEST + 1]
+
+    return replace(
+        past,
+        times=added(ahead, past.times),
+        positions=added(state.positions, past.positions),
+        quaternions=added(state.quaternions, past.quaternions),
+        order=order,
+        since=since,
+        used=past.order,
+        krylov=max(0, past.krylov - 1),
+    )
 
 
 class _Solve:
@@ -271,14 +284,18 @@ class _Solve:
         shape, unit = right.shape, self._problem.units
 
         def applied(scaled: np.ndarray) -> np.ndarray:
-            x = self._directly(scaled.reshape(shape) * unit)
-            return ((x - self._g * self._jacobian.product(x)) / unit).ravel()
+            x = scaled.reshape(shape) * unit
+            return (self._directly(x - self._g * self._jacobian.product(x)) / unit).ravel()
 
         operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
         scaled, _ = scipy.sparse.linalg.gmres(
-            operator, (right / unit).ravel(), rtol=_RIGHT, restart=_ITERATIONS, maxiter=1
+            operator,
+            (self._directly(right) / unit).ravel(),
+            rtol=_RIGHT,
+            restart=_ITERATIONS,
+            maxiter=1,
         )
-        return self._directly(scaled.reshape(shape) * unit)
+        return scaled.reshape(shape) * unit
 
 
 def _corrected(
@@ -292,23 +309,21 @@ def _corrected(
     """Return the corrected prediction; None if corrections do not become smaller fast enough."""
     rate, age = past.rate, past.age + 1
     correction = -solve(first)
-    z, before = predicted + correction, problem.size(correction)
+    z, size = predicted + correction, problem.size(correction)
     for number in range(1, _CORRECTIONS + 1):
-        if not math.isfinite(before):
-            return None
-        measured = rate > 0.0 and (age < _MEASURED or number > 1)
-        left = rate / (1.0 - rate) * before
-        if measured and left <= _ENOUGH:
+        trusted = rate > 0.0 and (age < _MEASURED or number > 1)
+        left = size * rate / (1.0 - rate)
+        if trusted and left <= _ENOUGH:
             return z, replace(past, rate=rate, age=age)
-        if number == _CORRECTIONS:
+        # The first correction may leave a stiff constraint, to which the second leads back.
+        if number > 2 and left * rate ** (_CORRECTIONS - number) > _ENOUGH:
             return None
         correction = -solve(residual(z))
-        size = problem.size(correction)
-        z = z + correction
-        if not math.isfinite(size) or size > _SLOW * 2 * before:
+        before, size = size, problem.size(correction)
+        if not size < _DIVERGENT * before:
             return None
-        rate, age = max(size / before, 0.3 * rate, 1e-3) if before > 0 else 1e-3, 0
-        before = size
+        z, age = z + correction, 0
+        rate = min(max(size / before, 0.3 * rate, _LEAST_RATE), _LARGEST_RATE)
     return None
 
 
@@ -325,9 +340,7 @@ def _weights(ahead: float, times: np.ndarray) -> np.ndarray:
     return np.linalg.solve(powers, np.eye(len(places))[1]) / scale
 
 
-def _extrapolated(
-    ahead: float, times: np.ndarray, values: np.ndarray, order: int
-) -> np.ndarray:
+def _extrapolated(ahead: float, times: np.ndarray, values: np.ndarray, order: int) -> np.ndarray:
     """Return the polynomial through order + 1 values, at `ahead`."""
     points = times[: order + 1]
     weights = [
