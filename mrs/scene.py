@@ -233,6 +233,8 @@ class Scene:
         everywhere = np.zeros((self.layout.count, 6))
         everywhere[rows] = loads.reshape(-1, 6)
         points, boundary = self._last.points, self.fluid.boundary_at(self._last.time)
+        if not check.computable(points, everywhere):  # the step will be rejected
+            return np.full_like(loads, np.nan)
         with self.mobility.lock, self.profile.stage("sums"):
             motion = self.mobility(points, everywhere, boundary)
         return motion[rows].reshape(-1, 2, 3)

@@ -127,7 +127,7 @@ def test_order_at_variable_steps(order, monkeypatch):
         return np.array([[y - 3.0 * x**3, -x * w - 0.5 * y + np.cos(3.0 * t), np.sin(x) - w]])
 
     def linearized(time, state):
-        x, y, w = state.positions[0]
+        x, _, w = state.positions[0]
         matrix = np.array([[-9.0 * x**2, 1.0, 0.0], [-w, -0.5, -x], [np.cos(x), 0.0, -1.0]])
 
         def solve(g, right):

@@ -303,7 +303,8 @@ class Stepper:
         reached, state = self._step(system, time, state, end if dense and end else stop)
         if reached <= stop:
             return reached, state
-        assert dense and self.memory
+        assert dense is not None
+        assert self.memory is not None
         return stop, dense.at(self.memory, stop)
 
     def _step(self, system: System, time: float, state: State, stop: float) -> tuple[float, State]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -106,13 +107,21 @@ class _Memory:
 def _renewed(past: _Memory, t: float, state: State) -> _Memory:
     """Return the memory with a Jacobian that is to be approximated here."""
     places, triads = state
-    built = {"built_time": t, "built_positions": places, "built_quaternions": triads}
-    return replace(past, **built, factored=0.0, rate=0.0, age=0)
+    return replace(
+        past,
+        built_time=t,
+        built_positions=places,
+        built_quaternions=triads,
+        factored=0.0,
+        rate=0.0,
+        age=0,
+    )
 
 
 def _unpacked(memory: Arrays) -> _Memory:
     """Return what `_Memory.arrays` made arrays of."""
-    return _Memory(**{k: v.item() if v.ndim == 0 else v for k, v in memory.items()})
+    values: dict[str, Any] = {k: v.item() if v.ndim == 0 else v for k, v in memory.items()}
+    return _Memory(**values)
 
 
 def _remembered(memory: Arrays, t: float, state: State) -> _Memory:
@@ -310,6 +319,8 @@ def _corrected(
     rate, age = past.rate, past.age + 1
     correction = -solve(first)
     z, size = predicted + correction, problem.size(correction)
+    if not math.isfinite(size):
+        return None
     for number in range(1, _CORRECTIONS + 1):
         trusted = rate > 0.0 and (age < _MEASURED or number > 1)
         left = size * rate / (1.0 - rate)
