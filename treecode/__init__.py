@@ -8,6 +8,7 @@ from treecode.boundaries import Boundary, FreeSpace, Periodic, Term, Wall
 from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.evaluation import evaluate
 from treecode.kernels import (
+    RegularizedPressure,
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
     Stokeslet,
@@ -34,6 +35,7 @@ __all__ = [
     "Periodic",
     "PeriodicKernel",
     "Plan",
+    "RegularizedPressure",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",
     "Stokeslet",

@@ -14,7 +14,11 @@ Field = Callable[[np.ndarray, float], np.ndarray]
 
 
 class Flow(Protocol):
-    """A solution of the Stokes equations without the bodies."""
+    """A solution of the Stokes equations without the bodies.
+
+    If it has a method ``pressure(points, time, viscosity)``, returning (N,), the pressure of stored
+    frames is known too.
+    """
 
     def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the velocity at points, (N, 3)."""
@@ -69,6 +73,10 @@ class QuadraticFlow:
     def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the curl of the velocity, (N, 3)."""
         return _curl(self.gradient) + points @ (2.0 * _curl(self.quadratic)).T
+
+    def pressure(self, points: np.ndarray, time: float, viscosity: float) -> np.ndarray:
+        """Return the pressure at points, (N,), zero at the origin: its gradient is mu lap U."""
+        return viscosity * points @ (2.0 * np.einsum("ijj", self.quadratic))
 
 
 def _zero_or(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from mrs.output.run_directory import tomllib
+from mrs.output.stored import QUANTITIES
 from mrs.output.trackers import Tracker
 from mrs.run import argument_types, scenario_files, signals
 from mrs.run.info import info
@@ -269,7 +270,12 @@ def _plot(options: argparse.Namespace) -> None:
 
 def _field(options: argparse.Namespace) -> None:
     found = write_field(
-        options.directory, options.frame, options.resolution, options.output, options.plane
+        options.directory,
+        options.frame,
+        options.resolution,
+        options.output,
+        options.plane,
+        options.also,
     )
     print(*found.paths, sep="\n")
     print(
@@ -277,6 +283,11 @@ def _field(options: argparse.Namespace) -> None:
         f"{found.error.rounding:.1e} by stored single precision; "
         f"{found.error.at_bodies:.1e} beside the velocities stored with the frame"
     )
+    for name, error in found.errors.items():
+        print(
+            f"relative error of the {name}: {error.sums:.1e} by sums, "
+            f"{error.rounding:.1e} by stored single precision"
+        )
 
 
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
@@ -429,6 +440,12 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "type": argument_types.plane,
                 "metavar": "AXIS=PLACE",
                 "help": "a plane such as z=0.5 in place of a box, without streamlines",
+            },
+            "--also": {
+                "nargs": "+",
+                "default": [],
+                "choices": QUANTITIES[1:],
+                "help": "further arrays: vorticity, and in free space pressure",
             },
             "--resolution": {
                 "type": int,

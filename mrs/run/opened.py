@@ -13,9 +13,10 @@ from mrs import check
 from mrs.output import run_directory
 from mrs.output.frames import Frames, trajectories, trajectory_paths
 from mrs.output.log_table import LogTable
+from mrs.output.stored import StoredFrame
 from mrs.output.stored_body import StoredBody
 from mrs.run.info import info
-from mrs.run.velocity import frame_velocity
+from mrs.run.velocity import stored_frame
 from treecode.shown import Shown
 
 if TYPE_CHECKING:
@@ -123,8 +124,45 @@ class Run(Shown):
             As for `mrs.frame_velocity`, which takes a background or a boundary that files cannot
             hold.
         """
-        number = self._numbers[self._index(frame)]
-        return frame_velocity(self, number)[1](check.points("points", points))
+        return self._stored(frame).velocity(check.points("points", points))
+
+    def vorticity(self, points: ArrayLike, frame: int = -1) -> np.ndarray:
+        """Return the curl of the velocity in a frame, (N, 3); zero behind a wall.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        frame : int, optional
+            Index in `times`; the last by default.
+
+        Raises
+        ------
+        IndexError, ValueError
+            As for `velocity`, and if the background has no vorticity.
+        """
+        return self._stored(frame).vorticity(check.points("points", points))
+
+    def pressure(self, points: ArrayLike, frame: int = -1) -> np.ndarray:
+        """Return the pressure of the fluid in a frame, (N,), in free space.
+
+        That of the bodies vanishes far away, that of the background at the origin.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        frame : int, optional
+            Index in `times`; the last by default.
+
+        Raises
+        ------
+        IndexError, ValueError
+            As for `velocity`, and if the run has a wall or a periodic box, or if the background
+            has no pressure.
+        """
+        return self._stored(frame).pressure(check.points("points", points))
+
+    def _stored(self, frame: int) -> StoredFrame:
+        return stored_frame(self, self._numbers[self._index(frame)])
 
     def mesh(self, frame: int = -1) -> pv.MultiBlock:
         """Return a frame of all bodies, with all arrays, as pyvista has it.

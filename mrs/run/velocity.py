@@ -1,10 +1,10 @@
-"""Velocity of the fluid in a stored frame of a run: as a function, and as files."""
+"""The flow in a stored frame of a run: as functions, and as files."""
 
 from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +14,7 @@ from mrs import check
 from mrs.fluid.flows import Flow
 from mrs.fluid.mobility import Boundary
 from mrs.output import field, run_directory
-from mrs.output.stored import FieldError, StoredFrame
+from mrs.output.stored import QUANTITIES, FieldError, StoredFrame
 from mrs.run.resuming import scenario_of
 
 _REACH = -1e60, 1e60  # of coordinates
@@ -22,11 +22,12 @@ _APART = 10.0  # times the error by tolerance and rounding, from which a warning
 
 
 class Field(NamedTuple):
-    """The files of `write_field`, their time, and the errors of the velocity."""
+    """The files of `write_field`, their time, and the errors of the velocity and of the others."""
 
     paths: list[Path]
     time: float
     error: FieldError
+    errors: dict[str, FieldError]
 
 
 def frame_velocity(
@@ -65,7 +66,7 @@ def frame_velocity(
     -----
     The forces of the frame are in single precision; the sums have the tolerance of the run.
     """
-    stored = _stored(directory, frame, background, boundary)
+    stored = stored_frame(directory, frame, background, boundary)
     return stored.points, stored.velocity
 
 
@@ -75,6 +76,7 @@ def write_field(
     resolution: int = 40,
     destination: str | os.PathLike[str] | None = None,
     plane: tuple[str, float] | None = None,
+    also: Sequence[str] = (),
 ) -> Field:
     """Write the velocity on a grid around the bodies, and streamlines, from a stored frame.
 
@@ -91,17 +93,21 @@ def write_field(
         Folder to write to, the run directory by default.
     plane : (axis, place), optional
         In place of a box one plane across an axis, such as ("z", 0.5), without streamlines.
+    also : sequence of str, optional
+        Further arrays: "vorticity", "pressure". The pressure is known in free space.
 
     Returns
     -------
     Field
-        field.vti and streamlines.vtp; the array is called "disturbance" if the background is
-        unknown, else "velocity". The time and the errors are in the field data of field.vti.
+        field.vti and streamlines.vtp; the velocity is called "disturbance" if the background is
+        unknown, and all other arrays are those of the disturbance too. The time and the errors are
+        in the field data of field.vti.
 
     Raises
     ------
     IndexError, ValueError
-        As for `frame_velocity`.
+        As for `frame_velocity`, and if the run has no such array, as a run over a wall has no
+        pressure.
 
     Warns
     -----
@@ -113,10 +119,13 @@ def write_field(
     if plane is not None:
         axis, place = plane
         plane = check.one_of("plane[0]", axis, field.AXES), check.number("plane[1]", place, *_REACH)
-    stored = _stored(directory, frame)
+    for name in also:
+        check.one_of("also", name, QUANTITIES[1:])
+    stored = stored_frame(directory, frame)
     grid = field.grid_around(stored.points, resolution, plane)
-    values = stored.velocity(grid.points)
-    error = stored.error(grid.points, values)
+    arrays = {name: stored.values(name, grid.points) for name in ("velocity", *also)}
+    errors = {name: stored.error(grid.points, array, name) for name, array in arrays.items()}
+    error, velocity = errors.pop("velocity"), arrays.pop("velocity")
     if error.at_bodies > _APART * (stored.tolerance + error.rounding):
         warnings.warn(
             f"velocities stored with the frame differ by {error.at_bodies:.1e} from those of its "
@@ -131,20 +140,30 @@ def write_field(
     run_directory.note_made(directory, *paths)
     name = "disturbance" if stored.unknown else "velocity"
     numbers = {"time": stored.time} | {f"error_{k}": v for k, v in error._asdict().items()}
-    field.write_grid(paths[0], grid, {name: values}, numbers)
+    for other, its in errors.items():
+        numbers |= {f"{other}_error_sums": its.sums, f"{other}_error_rounding": its.rounding}
+    field.write_grid(paths[0], grid, {name: velocity} | arrays, numbers)
     if plane is None:
         seeds = field.seeds_in(stored.points, max(2, resolution // 5))
-        field.streamlines(paths[1], grid, values, seeds)
-    return Field(paths, stored.time, error)
+        field.streamlines(paths[1], grid, velocity, seeds)
+    return Field(paths, stored.time, error, errors)
 
 
-def _stored(
+def stored_frame(
     directory: str | os.PathLike[str],
     frame: int,
     background: Flow | None = None,
     boundary: Boundary | None = None,
 ) -> StoredFrame:
-    """Return a frame, with parts of the fluid from the run's scenario if files cannot hold them."""
+    """Return a frame, with parts of the fluid from the run's scenario if files cannot hold them.
+
+    The parameters are those of `StoredFrame`, and so are the errors that are raised.
+
+    Warns
+    -----
+    UserWarning
+        If the background is unknown.
+    """
     stored = StoredFrame(directory, frame, background, boundary)
     lacks = stored.unknown or stored.unknown_boundary
     if lacks and "scenario" in run_directory.read(directory):
