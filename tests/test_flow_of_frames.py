@@ -104,6 +104,48 @@ def test_columns_of_field_files(rod_and_swimmer, tmp_path, capsys):
         mrs.write_field(run, also=["p"])
 
 
+def test_a_box_and_a_line(rod_and_swimmer, tmp_path, capsys):
+    """The corners are grid points, streamlines go through seeds, columns are those of the run."""
+    _, run = rod_and_swimmer
+    there = [str(run.directory), "--output", str(tmp_path)]
+    options = [
+        "--box=-1,0,0.5,1,1,1",
+        "--resolution",
+        "9",
+        "--seed=-0.5,0.5,0.75",
+        "--seed=0.5,0.5,1",
+    ]
+    assert cli.main(["field", *there, *options]) == 0
+    assert pv.read(tmp_path / "field.vti").bounds == pytest.approx((-1, 1, 0, 1, 0.5, 1), rel=1e-12)
+    lines = pv.read(tmp_path / "streamlines.vtp")
+    for seed in ([-0.5, 0.5, 0.75], [0.5, 0.5, 1.0]):
+        assert np.linalg.norm(lines.points - seed, axis=1).min() < 1e-6
+    assert cli.main(["field", *there, "--line=0,0,-1,0,3,3", "--resolution", "6"]) == 0
+    assert "beside the velocities stored" in capsys.readouterr().out
+    table = np.genfromtxt(tmp_path / "line.csv", delimiter=",", names=True)
+    points = np.stack([table[axis] for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(points, np.linspace([0, 0, -1], [0, 3, 3], 6), atol=1e-15)
+    np.testing.assert_allclose(table["distance"], np.linspace(0.0, 5.0, 6), rtol=1e-14)
+    velocity = np.stack([table[f"velocity_{axis}"] for axis in "xyz"], axis=1)
+    np.testing.assert_array_equal(velocity, run.velocity(points))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--line=0,0,0,0,0,1", "--plane", "z=0"], "--line is in place of a grid"),
+        (["--line=0,0,1,0,0,1"], "line must be two points that are apart"),
+        (["--box=0,0,1,0,0,1"], "box must be two points that are apart"),
+        (["--box=0,0,0,1,1,0", "--seed=0,0,0"], "seeds must be None for a plane"),
+    ],
+)
+def test_places_that_are_refused(rod_and_swimmer, tmp_path, capsys, options, message):
+    there = [str(rod_and_swimmer[1].directory), "--output", str(tmp_path), "--resolution", "3"]
+    assert cli.main(["field", *there, *options]) == 1
+    assert capsys.readouterr().err.startswith(f"mrs: {message}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_dragged_sphere_is_that_of_stokes(tmp_path):
     """Forces where motion is given count: p = F.x / (4 pi r^3), curl u = F x x / (4 pi mu r^3).
 

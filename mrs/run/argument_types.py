@@ -41,6 +41,22 @@ def plane(text: str) -> tuple[str, float]:
     return axis, numbers[0]
 
 
+def point(text: str) -> list[float]:
+    """Return three coordinates."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be three numbers, got {text!r}")
+    return numbers
+
+
+def ends(text: str) -> tuple[list[float], list[float]]:
+    """Return the two ends of a line, or two opposite corners of a box."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be six numbers, got {text!r}")
+    return numbers[:3], numbers[3:]
+
+
 def _numbers(text: str, kind: Callable[[str], Any], separator: str) -> list[Any]:
     """Return the numbers in a text, none if one of them is not of that kind."""
     try:

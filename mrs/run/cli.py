@@ -13,13 +13,12 @@ from typing import Any
 from mrs.output.run_directory import tomllib
 from mrs.output.stored import QUANTITIES
 from mrs.output.trackers import Tracker
-from mrs.run import argument_types, scenario_files, signals
+from mrs.run import argument_types, making, scenario_files, signals
 from mrs.run.info import info
 from mrs.run.reports import ProfileTable, Progress
 from mrs.run.resuming import resume, scenario_of
 from mrs.run.scenario import Scenario, ScenarioError
 from mrs.run.simulation import Simulation
-from mrs.run.velocity import write_field
 from treecode.ranks import ranks_of, world
 from treecode.version import __version__
 
@@ -236,60 +235,6 @@ def _check(options: argparse.Namespace) -> int:
     return 0 if passed else 1
 
 
-def _export(options: argparse.Namespace) -> None:
-    from mrs.output.export import export
-
-    files = export(options.directory, options.format, options.output)
-    print(f"{len(files)} files in {files[0].parent}")
-
-
-def _render(options: argparse.Namespace) -> None:
-    from mrs.output.render import render
-
-    destination = options.output or options.directory / "picture.png"
-    camera = (
-        None if options.camera is None else [tuple(options.camera[i : i + 3]) for i in (0, 3, 6)]
-    )
-    render(
-        options.directory,
-        destination,
-        frame=options.frame,
-        color_by=options.color_by,
-        camera=camera,
-        size=options.size,
-    )
-    print(destination)
-
-
-def _plot(options: argparse.Namespace) -> None:
-    from mrs.output.plot import COLUMNS, plot
-
-    destination = options.output or options.directory / "log.png"
-    print(plot(options.directory, destination, options.columns or COLUMNS))
-
-
-def _field(options: argparse.Namespace) -> None:
-    found = write_field(
-        options.directory,
-        options.frame,
-        options.resolution,
-        options.output,
-        options.plane,
-        options.also,
-    )
-    print(*found.paths, sep="\n")
-    print(
-        f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
-        f"{found.error.rounding:.1e} by stored single precision; "
-        f"{found.error.at_bodies:.1e} beside the velocities stored with the frame"
-    )
-    for name, error in found.errors.items():
-        print(
-            f"relative error of the {name}: {error.sums:.1e} by sums, "
-            f"{error.rounding:.1e} by stored single precision"
-        )
-
-
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
 _GOING: dict[str, dict[str, Any]] = {
     "--max-walltime": {
@@ -365,7 +310,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "export": (
-        _export,
+        making.export,
         "convert frames for other programs",
         {
             **_DIRECTORY,
@@ -377,7 +322,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "render": (
-        _render,
+        making.render,
         "draw a picture (.png) or a film (.mp4, .gif)",
         {
             **_DIRECTORY,
@@ -410,7 +355,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "plot": (
-        _plot,
+        making.plot,
         "draw columns of the log over time",
         {
             **_DIRECTORY,
@@ -427,8 +372,8 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "field": (
-        _field,
-        "velocity on a grid around the bodies, and streamlines",
+        making.field,
+        "velocity on a grid or along a line, and streamlines",
         {
             **_DIRECTORY,
             "--frame": {
@@ -441,6 +386,25 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "AXIS=PLACE",
                 "help": "a plane such as z=0.5 in place of a box, without streamlines",
             },
+            "--box": {
+                "type": argument_types.ends,
+                "metavar": "X,Y,Z,X,Y,Z",
+                "help": "two opposite corners of the grid, as in --box=-1,-1,0,1,1,2 (default "
+                "around the bodies)",
+            },
+            "--line": {
+                "type": argument_types.ends,
+                "metavar": "X,Y,Z,X,Y,Z",
+                "help": "two ends of a line, in place of a grid: writes line.csv",
+            },
+            "--seed": {
+                "action": "append",
+                "dest": "seeds",
+                "type": argument_types.point,
+                "metavar": "X,Y,Z",
+                "help": "a point that a streamline goes through; may be given again (default a "
+                "regular pattern)",
+            },
             "--also": {
                 "nargs": "+",
                 "default": [],
@@ -450,7 +414,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
             "--resolution": {
                 "type": int,
                 "default": 40,
-                "help": "grid points along the longest side (default %(default)s)",
+                "help": "points along the longest side, or the line (default %(default)s)",
             },
             "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY"},
         },
