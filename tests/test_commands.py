@@ -24,6 +24,23 @@ def finished(tmp_path_factory):
     return directory
 
 
+def test_new(tmp_path, monkeypatch, capsys):
+    """A scene that runs at once, with a picture and a check; it is never overwritten."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "falling.py"]) == 0
+    assert "mrs run falling.py --quick --picture" in capsys.readouterr().out
+    assert "mrs run falling.py --options" in (tmp_path / "falling.py").read_text()
+    assert cli.main(["run", "falling.py", "--quick", "--picture"]) == 0
+    assert capsys.readouterr().out.strip().endswith("picture.png")
+    assert iio.imread(tmp_path / "outputs" / "falling" / "picture.png").ndim == 3
+    (tmp_path / "falling.py").write_text("mine")
+    assert cli.main(["new", "falling.py"]) == 1
+    assert "falling.py is there already" in capsys.readouterr().err
+    assert (tmp_path / "falling.py").read_text() == "mine"
+    assert cli.main(["new", "scene.toml"]) == 1
+    assert "FILE.py must end in .py, got 'scene.toml'" in capsys.readouterr().err
+
+
 def test_render(finished, tmp_path):
     """A picture, and a film of the three frames."""
     for name, shape in {"a.png": (64, 96, 3), "b.gif": (3, 64, 96, 3)}.items():

@@ -1,4 +1,4 @@
-"""The command line: run, resume, info, export, render, plot, field, check."""
+"""The command line: new, run, resume, info, export, render, plot, field, check."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from treecode.version import __version__
 
 _EPILOG = """\
 examples:
+  mrs new my_scene.py                              a rod and tracers, to change
   mrs run cilia_array --quick                      a small version, ends within seconds
   mrs run swimmer_suspension --set count=200 --set stroke=puller --output outputs/pullers
   mrs run my_scene.toml --max-walltime 3600        stops in good order after an hour
@@ -247,6 +248,11 @@ _GOING: dict[str, dict[str, Any]] = {
 
 # name: (action, help, arguments as argparse takes them)
 _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
+    "new": (
+        making.new,
+        "write a scene to begin with, as a Python file",
+        {"file": {"type": Path, "metavar": "FILE.py"}},
+    ),
     "run": (
         _run,
         "begin a run",

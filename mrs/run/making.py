@@ -1,10 +1,28 @@
-"""Commands that make something of a run: pictures, curves, fields, exports."""
+"""Commands that make files: a new scene; pictures, curves, fields and exports of a run."""
 
 from __future__ import annotations
 
 import argparse
+from importlib import resources
+from pathlib import Path
 
 from mrs.run.velocity import write_field, write_line
+
+_TEMPLATE = "my_scene.py"
+
+
+def new(options: argparse.Namespace) -> None:
+    """Write a scene to begin with."""
+    path: Path = options.file
+    if path.suffix != ".py":
+        raise ValueError(f"FILE.py must end in .py, got {str(path)!r}")
+    text = resources.files("mrs.run").joinpath(_TEMPLATE).read_text("utf-8")
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text.replace(_TEMPLATE, path.name))
+    except FileExistsError:
+        raise FileExistsError(f"{path} is there already; nothing was written") from None
+    print(f"{path}; begin with\n  mrs run {path} --quick --picture")
 
 
 def export(options: argparse.Namespace) -> None:
