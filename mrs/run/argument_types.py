@@ -24,6 +24,14 @@ def size(text: str) -> tuple[int, int]:
     return numbers[0], numbers[1]
 
 
+def interval(text: str) -> tuple[float, float]:
+    """Return a lower and a higher number."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 2 or not -math.inf < numbers[0] < numbers[1] < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a lower and a higher number, got {text!r}")
+    return numbers[0], numbers[1]
+
+
 def frames(text: str) -> int | slice:
     """Return the number of a frame, or a range of them."""
     numbers = _numbers(text, lambda word: int(word) if word else None, ":")

@@ -347,6 +347,11 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "FIELD",
                 "help": "a field at points or rods, such as velocity or tension",
             },
+            "--color-range": {
+                "type": argument_types.interval,
+                "metavar": "LOW,HIGH",
+                "help": "values of the first and the last colour (default of all frames drawn)",
+            },
             "--camera": {
                 "type": argument_types.camera,
                 "metavar": "X,Y,Z,...",
@@ -356,8 +361,21 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "type": argument_types.size,
                 "default": (1280, 800),
                 "metavar": "W,H",
-                "help": "in pixels (default 1280,800)",
+                "help": "in pixels (default 1280,800); a .png has 300 an inch",
             },
+            "--trails": {
+                "type": int,
+                "default": 0,
+                "metavar": "N",
+                "help": "lines through the places of tracers in the N frames before",
+            },
+            "--scale-bar": {
+                "nargs": "?",
+                "const": "",
+                "metavar": "UNIT",
+                "help": "draw a bar of a round length, with the unit of length",
+            },
+            "--transparent": {"action": "store_true", "help": "no paper behind a .png"},
         },
     ),
     "plot": (

@@ -46,8 +46,12 @@ def render(options: argparse.Namespace) -> None:
         destination,
         frame=options.frame,
         color_by=options.color_by,
+        color_range=options.color_range,
         camera=camera,
         size=options.size,
+        trails=options.trails,
+        scale_bar=options.scale_bar,
+        transparent=options.transparent,
     )
     print(destination)
 
