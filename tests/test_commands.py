@@ -11,6 +11,7 @@ import pyvista as pv
 
 import mrs
 from mrs.output import checkpoint
+from mrs.output.render import render
 from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 
@@ -85,12 +86,15 @@ def test_info(finished, capsys):
 
 
 def test_run(tmp_path, capsys):
-    """With a picture of the last frame; the options are listed without a run."""
+    """With a picture of the last state, between two intervals; options are listed without a run."""
     directory = tmp_path / "run"
-    options = ["--quick", "--set", "t_end=0.05", "--output", str(directory)]
-    assert cli.main(["run", "helical_swimmer", *options, "--picture"]) == 0
-    assert f"{directory}: t = 0.05, " in capsys.readouterr().out
-    assert iio.imread(directory / "picture.png").ndim == 3
+    options = ["--quick", "--set", "t_end=0.07", "--set", "interval=0.05"]
+    options += ["--output", str(directory), "--picture"]
+    assert cli.main(["run", "helical_swimmer", *options]) == 0
+    assert f"{directory}: t = 0.07, " in capsys.readouterr().out
+    np.testing.assert_array_equal(mrs.open_run(directory).times, [0.0, 0.05, 0.07])
+    last = render(directory, tmp_path / "last.png", frame=2)
+    np.testing.assert_array_equal(iio.imread(directory / "picture.png"), iio.imread(last))
     assert cli.main(["run", "helical_swimmer", "--options"]) == 0
     assert "t_end = 5.0\n    simulated time\n" in capsys.readouterr().out
 
