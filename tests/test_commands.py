@@ -124,6 +124,19 @@ def test_plot(finished, tmp_path):
     assert iio.imread(path).ndim == 3
 
 
+@pytest.mark.parametrize(
+    ("typed", "near"), [("--siez=9,9", "--size"), ("--outptu", "--output"), ("--quux", None)]
+)
+def test_a_misspelt_option(finished, capsys, typed, near):
+    """The error is that of the command, and names its nearest option."""
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["render", str(finished), typed])
+    told = capsys.readouterr().err
+    assert told.startswith("usage: mrs render ")
+    advice = f"; did you mean '{near}'?" if near else ""
+    assert told.endswith(f"mrs render: error: unrecognized arguments: {typed}{advice}\n")
+
+
 def test_every_command_is_tested():
     assert [name for name in cli._COMMANDS if f"test_{name}" not in globals()] == []
 

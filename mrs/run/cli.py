@@ -10,14 +10,14 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from mrs.output.run_directory import tomllib
+from mrs import check
 from mrs.output.stored import QUANTITIES
 from mrs.output.trackers import Tracker
 from mrs.run import argument_types, making, scenario_files, signals
 from mrs.run.info import info
 from mrs.run.reports import ProfileTable, Progress
 from mrs.run.resuming import resume, scenario_of
-from mrs.run.scenario import Scenario, ScenarioError
+from mrs.run.scenario import Scenario
 from mrs.run.simulation import Simulation
 from treecode.ranks import ranks_of, world
 from treecode.version import __version__
@@ -34,6 +34,7 @@ examples:
 exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the checked number FAILED;
 2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
+_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}  # as shtab takes it
 _READER_GONE = 141  # as shells report a program that SIGPIPE ends
 # Errors told in one line. Other errors are the program's own, and their tracebacks are wanted.
 _TOLD = (
@@ -59,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     ranks = ranks_of(comm)
     if ranks.rank:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
-    options = _parser().parse_args(arguments)
+    options = _parsed(arguments)
     options.comm = comm
     idle = ranks.rank and options.action not in (_run, _resume, _check)
     try:
@@ -106,7 +107,18 @@ def _in_users_file(error: Exception) -> bool:
     return any(module.startswith(scenario_files.FILE_PREFIX) for module in modules)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parsed(arguments: list[str] | None) -> argparse.Namespace:
+    """Return the options; leave with status 2 if there is no such one, and name the nearest."""
+    options, unknown = parser().parse_known_args(arguments)
+    if unknown:
+        names = [word for flags in _COMMANDS[options.command][2] for word in flags.split()]
+        near = check.nearest(unknown[0].partition("=")[0], names)
+        options.parser.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
+    return options
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line; shtab makes completions of a shell from it."""
     parser = argparse.ArgumentParser(
         prog="mrs",
         description="Elastic rods and swimmers in very viscous fluid, by regularized Stokeslets.",
@@ -114,12 +126,14 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for name, (action, text, arguments) in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
-        command.set_defaults(action=action)
+        command.set_defaults(action=action, parser=command)
         for flags, settings in arguments.items():
-            command.add_argument(*flags.split(), **settings)
+            argument: Any = command.add_argument(*flags.split(), **settings)
+            if settings.get("type") is Path or flags == "scene":
+                argument.complete = _FILES
     return parser
 
 
@@ -129,7 +143,7 @@ def _run(options: argparse.Namespace) -> int:
     if Path(name).suffix.lower() == ".toml":
         name, values = scenario_files.read_input(name)
     for item in options.set:
-        _assign(values, item)
+        scenario_files.assign(values, item)
     scene = scenario_files.make(name, values, quick=options.quick)
     if options.options:
         _print_options(scene)
@@ -151,22 +165,6 @@ def _run(options: argparse.Namespace) -> int:
 
 def _trackers(options: argparse.Namespace) -> list[Tracker]:
     return [Progress(), ProfileTable()] if options.profile else [Progress()]
-
-
-def _assign(values: dict[str, Any], item: str) -> None:
-    """Put "a.b=value" into nested dictionaries; a value is read as TOML, else it is text."""
-    path, separator, text = item.partition("=")
-    if not separator:
-        raise ScenarioError(f"--set: {item!r} must be KEY=VALUE")
-    *groups, last = path.strip().split(".")
-    for group in groups:
-        values = values.setdefault(group, {})
-        if not isinstance(values, dict):
-            raise ScenarioError(f"--set: {item!r}, but {group!r} has a value already")
-    try:
-        values[last] = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        values[last] = text.strip()
 
 
 def _print_options(scene: Scenario) -> None:
