@@ -288,7 +288,7 @@ class Mobility:
         as it is. If contributions cancel to little more than the rounding of doubles, the sums are
         direct ones for any tolerance, since no others are more accurate.
         """
-        return self._anywhere(self._sources, slice(3), (points, loads, targets), boundary)
+        return self._anywhere(self._sources, slice(0, 3), (points, loads, targets), boundary)
 
     def vorticity(
         self,
@@ -320,7 +320,7 @@ class Mobility:
             part._replace(kernel=tc.RegularizedPressure(part.kernel.epsilon))
             for part in self._sources
         ]
-        return self._anywhere(pressing, slice(1), (points, loads, targets), boundary)[:, 0]
+        return self._anywhere(pressing, slice(0, 1), (points, loads, targets), boundary)[:, 0]
 
     def _anywhere(
         self,
@@ -348,8 +348,7 @@ class Mobility:
             for k, share in enumerate(shares):
                 if share < tolerance:
                     outs[k] = once(sources[k], share)
-        none = np.zeros((len(flow[2]), columns.stop - (columns.start or 0)))
-        return sum(outs, none)
+        return sum(outs, np.zeros((len(flow[2]), columns.stop - columns.start)))
 
     def infos(self) -> list[dict[str, Any]]:
         """Return `treecode.Plan.info` of each sum in the last evaluation."""
