@@ -19,8 +19,8 @@ from treecode.kernels.periodic import PeriodicKernel
 from treecode.locks import Lock
 from treecode.methods.base import Method
 from treecode.methods.direct import EXACT
-from treecode.methods.registry import Choice
-from treecode.plan import Plan, backends
+from treecode.methods.registry import Choice, backends
+from treecode.plan import Plan
 from treecode.version import __version__
 
 __all__ = [

@@ -40,6 +40,16 @@ class Backend:
         its angular velocities. It is met at the first evaluation of a simulation, watched in
         every longer sum, and sampled again every 50 steps. A given `degree` replaces it; for "fmm"
         both can be given, and `tolerance` is then its aim.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> positions, directions = mrs.lattice_suspension((5, 5, 5), spacing=2.0)
+    >>> swimmers = mrs.Swimmers(positions, directions, length=1.0, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [swimmers], backend=mrs.Backend(tolerance=1e-6))
+    >>> speeds = sim.now.rates[:125]
+    >>> bool(sim.scene.sampled_error(sim.time, sim.state) < 1e-6)
+    True
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}

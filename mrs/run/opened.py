@@ -57,6 +57,21 @@ class Run(Shown):
     Files are opened for each reading, and no reader stops a run. If the frames are no longer in
     a file, because the run was begun anew or goes on from an earlier time, reading them raises an
     error until `refresh` is called.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> sim = mrs.Simulation(
+    ...     mrs.Fluid(background=mrs.flows.shear(1.0)),
+    ...     [mrs.Tracers([[0.0, 0.0, 1.0]], name="dust")],
+    ...     output=mrs.Output("outputs/sheared", interval=0.5),
+    ... )
+    >>> sim = sim.run(1.0)
+    >>> run = mrs.open_run("outputs/sheared")
+    >>> run.bodies, run.times.tolist()
+    (('dust',), [0.0, 0.5, 1.0])
+    >>> print(run["dust"].positions[:, 0, 0].round(6))  # x of the first tracer in all frames
+    [0.  0.5 1. ]
     """
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
@@ -224,5 +239,14 @@ def open_run(directory: str | os.PathLike[str]) -> Run:
         If the directory holds no run.
     DamagedError
         If a trajectory is damaged; the message names a remedy.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> output = mrs.Output("outputs/sheared", interval=0.5)
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> mrs.open_run("outputs/sheared").times.tolist()
+    [0.0, 0.5, 1.0]
     """
     return Run(directory)

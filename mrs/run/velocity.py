@@ -66,6 +66,16 @@ def frame_velocity(
     Notes
     -----
     The forces of the frame are in single precision; the sums have the tolerance of the run.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> output = mrs.Output("outputs/pusher", interval=0.5)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [pusher], output=output).run(0.5)
+    >>> points, velocity = mrs.frame_velocity("outputs/pusher", frame=0)
+    >>> print(velocity([[0.0, 0.0, 10.0]]).round(6))
+    [[0.       0.       0.000723]]
     """
     stored = stored_frame(directory, frame, background, boundary)
     return stored.points, stored.velocity
@@ -121,6 +131,16 @@ def write_field(
     UserWarning
         If the background is unknown, if there are no streamlines, or if the velocities that are
         stored with the frame are others.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> output = mrs.Output("outputs/pusher", interval=0.5)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [pusher], output=output).run(0.5)
+    >>> field = mrs.write_field("outputs/pusher", resolution=8, plane=("y", 0.0))
+    >>> [path.name for path in field.paths]
+    ['field.vti']
     """
     check.integer("resolution", resolution, 2, 1000)
     if plane is not None:
