@@ -27,7 +27,8 @@ extensions = [
     "mathml",
 ]
 exclude_patterns = ["_*"]
-source_suffix = {".md": "myst-nb", ".rst": "restructuredtext"}
+# The first is the suffix of the pages that autosummary writes, as it does not know myst-nb's.
+source_suffix = {".rst": "restructuredtext", ".md": "myst-nb"}
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 default_role = "code"
@@ -37,6 +38,7 @@ nb_execution_in_temp = True
 nb_execution_timeout = 300  # seconds for a cell
 nb_execution_raise_on_error = True
 nb_output_stderr = "warn"
+nb_merge_streams = True
 # pyvista imports tqdm's progress bars for notebooks, and these ask for a package that no one needs.
 os.environ["PYTHONWARNINGS"] = "ignore:IProgress not found"
 

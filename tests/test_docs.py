@@ -21,7 +21,9 @@ GUIDES = [
 ]
 DECISIONS = ROOT / "docs" / "decisions"
 
-each_page = pytest.mark.parametrize("page", PAGES + TUTORIALS, ids=lambda page: str(page.relative_to(ROOT)))
+each_page = pytest.mark.parametrize(
+    "page", PAGES + TUTORIALS, ids=lambda page: str(page.relative_to(ROOT))
+)
 each_present_page = pytest.mark.parametrize("page", PRESENT, ids=lambda page: page.name)
 
 

@@ -59,6 +59,19 @@ def write_pages(app, config):
             path.unlink()
 
 
+def require_descriptions(app, env):
+    """Look at what came of the pages: a page that is read as another language describes nothing.
+
+    Raises
+    ------
+    ExtensionError
+        With the names that are not described.
+    """
+    missing = [name for name in public.things() if name not in env.get_domain("py").objects]
+    if missing:
+        raise ExtensionError(f"not in the reference: {', '.join(missing)}")
+
+
 def skip_fields(app, what, name, obj, skip, options):
     """Leave out the fields of named tuples, which their class describes."""
     return skip or type(obj).__name__ == "_tuplegetter"
@@ -70,8 +83,9 @@ def escape_bars(app, what, name, obj, options, lines):
 
 
 def setup(app):
-    """Write the pages before Sphinx looks for pages."""
+    """Write the pages before Sphinx looks for pages, and look at them when it has read all."""
     app.connect("config-inited", write_pages)
+    app.connect("env-check-consistency", require_descriptions)
     app.connect("autodoc-process-docstring", escape_bars)
     app.connect("autodoc-skip-member", skip_fields)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

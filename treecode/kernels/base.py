@@ -58,8 +58,9 @@ class Kernel(Protocol):
     ...         f = tc.where(apart, w[0] * tc.inverse_sqrt(tc.where(apart, square, 1.0)) ** 3, 0.0)
     ...         return acc[0] + f * dx, acc[1] + f * dy, acc[2] + f * dz
     >>> source = Source()
-    >>> source.pair(0.0, 0.0, 2.0, source.weights((16.0,)), (0.0, 0.0, 0.0))[2]  # 1 / pi
-    0.3183098861837907
+    >>> u = source.pair(0.0, 0.0, 2.0, source.weights((16.0,)), (0.0, 0.0, 0.0))
+    >>> round(u[2], 6)  # 1 / pi
+    0.31831
     """
 
     strength_size: int
