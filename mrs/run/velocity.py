@@ -211,6 +211,17 @@ def write_line(
     -----
     UserWarning
         As for `write_field`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(2.0)), mrs.Tracers([[0, 0, 1]])
+    >>> output = mrs.Output("outputs/sheared", interval=0.5)
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> (file,) = mrs.write_line("outputs/sheared", [(0, 0, 0), (0, 0, 1)], resolution=3).paths
+    >>> print(np.genfromtxt(file, delimiter=",", names=True)["velocity_x"])
+    [0. 1. 2.]
     """
     start, end = _ends("line", line)
     points = np.linspace(start, end, check.integer("resolution", resolution, 2, 10**6))

@@ -32,6 +32,15 @@ class RegularizedPressure(_Parameters):
     ------
     ValueError, TypeError
         If it is not a number between 1e-60 and 1e60.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import treecode as tc
+    >>> kernel, force = tc.RegularizedPressure(epsilon=0.01), [[0, 0, 1]]
+    >>> p = tc.evaluate(kernel, [[0, 0, 0]], force, targets=[[0, 0, 2], [0, 0, -2], [2, 0, 0]])
+    >>> print((4 * np.pi * p[:, 0]).round(3))  # cosine / r^2
+    [ 0.25 -0.25  0.  ]
     """
 
     __slots__ = ()
