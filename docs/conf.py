@@ -4,6 +4,7 @@
 is in docs/generated: pages from outside this folder, the gallery, the reference of the API.
 """
 
+import os
 import sys
 from pathlib import Path
 
@@ -17,7 +18,7 @@ author = project_copyright = "The mrs-treecode developers"
 release = version = __version__
 
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autosummary",
     "sphinx.ext.napoleon",
     "api_pages",
@@ -26,10 +27,20 @@ extensions = [
     "mathml",
 ]
 exclude_patterns = ["_*"]
-source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+# The first is the suffix of the pages that autosummary writes, as it does not know myst-nb's.
+source_suffix = {".rst": "restructuredtext", ".md": "myst-nb"}
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 4
 default_role = "code"
+
+# The tutorials are run, each in an empty folder; their errors and warnings stop the build.
+nb_execution_in_temp = True
+nb_execution_timeout = 300  # seconds for a cell
+nb_execution_raise_on_error = True
+nb_output_stderr = "warn"
+nb_merge_streams = True
+# pyvista imports tqdm's progress bars for notebooks, and these ask for a package that no one needs.
+os.environ["PYTHONWARNINGS"] = "ignore:IProgress not found"
 
 templates_path = ["_templates"]
 autodoc_member_order = "bysource"

@@ -39,7 +39,7 @@ from mrs.run.opened import Run, open_run
 from mrs.run.resuming import restart, resume
 from mrs.run.scenario import Check, Scenario, ScenarioError
 from mrs.run.simulation import Simulation
-from mrs.run.velocity import frame_velocity, write_field
+from mrs.run.velocity import frame_velocity, write_field, write_line
 from mrs.scene import Evaluation, Scene
 from mrs.time.integrators import METHODS as INTEGRATORS
 from mrs.time.interrupts import Interrupt, Interval, Moment, Never, Steps, WallTime
@@ -115,4 +115,5 @@ __all__ = [
     "rotations",
     "surfaces",
     "write_field",
+    "write_line",
 ]

@@ -65,6 +65,14 @@ class Profile(Shown):
         By stage.
     pairs : dict
         Pairs summed "near", and terms of expansions "far"; for "fmm" cubes and translations.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> dust = mrs.Tracers([[0.0, 0.0, 1.0]])
+    >>> sim = mrs.Simulation(mrs.Fluid(background=mrs.flows.shear(1.0)), [dust]).run(1.0)
+    >>> {"background", "integrator"} <= {row.stage for row in sim.profile.rows()}
+    True
     """
 
     def __init__(self) -> None:

@@ -16,6 +16,22 @@ class Registry(dict[str, Thing]):
         The word for such a thing in messages, for example "integrator".
     attribute : str
         Where a thing says its name: "name" or "kind".
+
+    Examples
+    --------
+    >>> import mrs
+    >>> "rods" in mrs.BODIES, "wall" in mrs.BOUNDARIES, "rkc2" in mrs.INTEGRATORS
+    (True, True, True)
+    >>> "vtkhdf" in mrs.FORMATS, "flux" in mrs.OBSERVABLES
+    (True, True)
+    >>> @mrs.FORCES.register
+    ... class Lift(mrs.UserForce):  # in TOML: lift = { body = "rods", strength = 1.0 }
+    ...     kind = "lift"
+    ...
+    ...     def __init__(self, body: str, strength: float):
+    ...         super().__init__(body, lambda time, points, state: (0.0, 0.0, strength))
+    >>> "lift" in mrs.FORCES
+    True
     """
 
     def __init__(self, role: str, attribute: str) -> None:

@@ -48,8 +48,11 @@ def resistance(
     Examples
     --------
     >>> import mrs
+    >>> import numpy as np
     >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=200))
-    >>> drag = mrs.resistance(ball, mrs.Fluid())[0, 0]  # 6 pi and 0.7 %
+    >>> matrix = mrs.resistance(ball, mrs.Fluid(viscosity=1.0))
+    >>> print(round(matrix[0, 0] / (6 * np.pi), 3), round(matrix[3, 3] / (8 * np.pi), 3))
+    1.007 1.037
     """
     several = check.instances("bodies", [bodies] if isinstance(bodies, Body) else bodies, Rigid)
     scene = Scene(fluid, several, backend=backend or Backend(tolerance=_TOLERANCE))

@@ -23,7 +23,17 @@ _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to 
 
 
 class Evaluation(NamedTuple):
-    """All that follows from one state."""
+    """All that follows from one state.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> dust = mrs.Tracers([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
+    >>> now = mrs.Simulation(mrs.Fluid(background=mrs.flows.shear(1.0)), [dust]).now
+    >>> print(now.rates)  # u = z
+    [[1. 0. 0.]
+     [2. 0. 0.]]
+    """
 
     time: float
     state: State
@@ -77,6 +87,16 @@ class Scene:
         breaks off the past of a multistep method after each step.
     longest_step : float
         That resolves the noise of the bodies; infinite without noise.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> scene = mrs.Scene(mrs.Fluid(), [pusher])
+    >>> now = scene.evaluate(0.0, scene.layout.initial)
+    >>> print(now.loads)  # of its body and its flagellum
+    [[ 0.  0.  1.]
+     [-0. -0. -1.]]
     """
 
     def __init__(

@@ -188,6 +188,7 @@ ALLOWED = {
         "treecode.shown", "treecode.version",
     },
     "mrs.run.signals": {"treecode.ranks"},
+    "mrs.run.my_scene": {"mrs"},  # what `mrs new` writes
     "mrs.scenarios": set(),  # found by name
     "mrs": {"mrs", "treecode.version"},
     "scenarios": {"mrs"},

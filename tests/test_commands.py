@@ -11,6 +11,7 @@ import pyvista as pv
 
 import mrs
 from mrs.output import checkpoint
+from mrs.output.render import render
 from mrs.output.trajectory import Trajectory
 from mrs.run import cli
 
@@ -22,6 +23,23 @@ def finished(tmp_path_factory):
     options = ["--quick", "--set", "t_end=0.1", "--set", "interval=0.05"]
     assert cli.main(["run", "helical_swimmer", *options, "--output", str(directory)]) == 0
     return directory
+
+
+def test_new(tmp_path, monkeypatch, capsys):
+    """A scene that runs at once, with a picture and a check; it is never overwritten."""
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["new", "falling.py"]) == 0
+    assert "mrs run falling.py --quick --picture" in capsys.readouterr().out
+    assert "mrs run falling.py --options" in (tmp_path / "falling.py").read_text()
+    assert cli.main(["run", "falling.py", "--quick", "--picture"]) == 0
+    assert capsys.readouterr().out.strip().endswith("picture.png")
+    assert iio.imread(tmp_path / "outputs" / "falling" / "picture.png").ndim == 3
+    (tmp_path / "falling.py").write_text("mine")
+    assert cli.main(["new", "falling.py"]) == 1
+    assert "falling.py is there already" in capsys.readouterr().err
+    assert (tmp_path / "falling.py").read_text() == "mine"
+    assert cli.main(["new", "scene.toml"]) == 1
+    assert "FILE.py must end in .py, got 'scene.toml'" in capsys.readouterr().err
 
 
 def test_render(finished, tmp_path):
@@ -68,12 +86,15 @@ def test_info(finished, capsys):
 
 
 def test_run(tmp_path, capsys):
-    """With a picture of the last frame; the options are listed without a run."""
+    """With a picture of the last state, between two intervals; options are listed without a run."""
     directory = tmp_path / "run"
-    options = ["--quick", "--set", "t_end=0.05", "--output", str(directory)]
-    assert cli.main(["run", "helical_swimmer", *options, "--picture"]) == 0
-    assert f"{directory}: t = 0.05, " in capsys.readouterr().out
-    assert iio.imread(directory / "picture.png").ndim == 3
+    options = ["--quick", "--set", "t_end=0.07", "--set", "interval=0.05"]
+    options += ["--output", str(directory), "--picture"]
+    assert cli.main(["run", "helical_swimmer", *options]) == 0
+    assert f"{directory}: t = 0.07, " in capsys.readouterr().out
+    np.testing.assert_array_equal(mrs.open_run(directory).times, [0.0, 0.05, 0.07])
+    last = render(directory, tmp_path / "last.png", frame=2)
+    np.testing.assert_array_equal(iio.imread(directory / "picture.png"), iio.imread(last))
     assert cli.main(["run", "helical_swimmer", "--options"]) == 0
     assert "t_end = 5.0\n    simulated time\n" in capsys.readouterr().out
 
@@ -101,6 +122,19 @@ def test_plot(finished, tmp_path):
     path = tmp_path / "log.png"
     assert cli.main(["plot", str(finished), "--output", str(path)]) == 0
     assert iio.imread(path).ndim == 3
+
+
+@pytest.mark.parametrize(
+    ("typed", "near"), [("--siez=9,9", "--size"), ("--outptu", "--output"), ("--quux", None)]
+)
+def test_a_misspelt_option(finished, capsys, typed, near):
+    """The error is that of the command, and names its nearest option."""
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["render", str(finished), typed])
+    told = capsys.readouterr().err
+    assert told.startswith("usage: mrs render ")
+    advice = f"; did you mean '{near}'?" if near else ""
+    assert told.endswith(f"mrs render: error: unrecognized arguments: {typed}{advice}\n")
 
 
 def test_every_command_is_tested():

@@ -12,6 +12,7 @@ PAGES = sorted(
     for folder in (".", "benchmarks", "docs", "docs/benchmarks", "docs/decisions", "outputs")
     for path in (ROOT / folder).glob("*.md")
 )
+TUTORIALS = sorted((ROOT / "docs" / "tutorials").glob("*.md"))  # which are run with the site
 # Pages that say how things are now; a note on a decision says how they were.
 PRESENT = [ROOT / name for name in ("ARCHITECTURE.md", "docs/notation.md", "docs/physics.md")]
 GUIDES = [
@@ -20,7 +21,9 @@ GUIDES = [
 ]
 DECISIONS = ROOT / "docs" / "decisions"
 
-each_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+each_page = pytest.mark.parametrize(
+    "page", PAGES + TUTORIALS, ids=lambda page: str(page.relative_to(ROOT))
+)
 each_present_page = pytest.mark.parametrize("page", PRESENT, ids=lambda page: page.name)
 
 
@@ -57,7 +60,7 @@ def test_files_are_there(page):
     assert not [name for name in names if not (ROOT / name).exists()]
 
 
-@pytest.mark.parametrize("page", PRESENT + GUIDES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PRESENT + GUIDES + TUTORIALS, ids=lambda page: page.name)
 def test_lines_are_short(page):
     assert not [line for line in prose(page) if len(line) > 110]
 
@@ -95,8 +98,21 @@ def test_messages_that_are_explained_are_those_of_the_code():
 
 
 def test_every_page_is_on_the_site():
-    linked = set(re.findall(r"\]\(([\w-]+\.md)\)", (ROOT / "docs" / "index.md").read_text()))
-    assert linked | {"index.md"} == {path.name for path in (ROOT / "docs").glob("*.md")}
+    docs = ROOT / "docs"
+    linked = set(re.findall(r"\]\(((?:tutorials/)?[\w-]+\.md)\)", (docs / "index.md").read_text()))
+    pages = [*docs.glob("*.md"), *TUTORIALS]
+    assert linked | {"index.md"} == {path.relative_to(docs).as_posix() for path in pages}
+
+
+@pytest.mark.parametrize("page", TUTORIALS, ids=lambda page: page.name)
+def test_all_code_of_a_tutorial_is_run(page):
+    """The build of the site runs code cells, with the kernel that the page names."""
+    text = page.read_text()
+    assert text.startswith("---\nfile_format: mystnb\nkernelspec:\n  name: python3\n---\n\n# ")
+    fences = re.findall(r"^```.*$", text, flags=re.M)
+    assert fences == ["```{code-cell}", "```"] * (len(fences) // 2)
+    for code in re.findall(r"^```{code-cell}\n(.*?)^```$", text, flags=re.M | re.S):
+        ast.parse(code)
 
 
 def test_cited_tests_are_there():

@@ -109,16 +109,12 @@ def test_momentum(case):
     """-grad p + mu lap u = -f phi - 1/2 curl(n phi), with p = sum (f.r) Q."""
     points, strengths, x = case
 
-    def separation(x):
-        r = x[:, None, :] - points
-        return r, (r**2).sum(axis=-1) + EPSILON**2
-
     def pressure(x):
-        r, R2 = separation(x)
-        Q = (5 * EPSILON**2 + 2 * (R2 - EPSILON**2)) / (8 * np.pi * R2**2.5)
-        return ((r * strengths[:, :3]).sum(axis=-1) * Q).sum(axis=1, keepdims=True)
+        kernel = tc.RegularizedPressure(EPSILON)
+        return tc.evaluate(kernel, points, strengths[:, :3], x, backend="direct")
 
-    r, R2 = separation(x)
+    r = x[:, None, :] - points
+    R2 = (r**2).sum(axis=-1) + EPSILON**2
     blob = (15 * EPSILON**4 / (8 * np.pi * R2**3.5))[..., None]
     curl_of_torque = np.cross(-7.0 * r * blob / R2[..., None], strengths[:, 3:])
     body_force = (strengths[:, :3] * blob + 0.5 * curl_of_torque).sum(axis=1)

@@ -362,10 +362,10 @@ def test_bodies_are_drawn_at_one_time(tmp_path):
     vtkhdf.create(path, Topology(np.arange(50), []), meta={"kind": "tracers"})
     vtkhdf.append(path, 0.5, np.random.default_rng(0).random((50, 3)))
     with Trajectory(tmp_path / "rods.vtkhdf") as one, Trajectory(path) as other:
-        assert module._frames([one, other], slice(None)) == [[1, 0]]
-        assert module._frames([one, other], -1) == [[1, 0]]
+        assert module._shots([one, other], slice(None), 1) == [([1, 0], [])]
+        assert module._shots([one, other], -1, 1) == [([1, 0], [])]
         with pytest.raises(IndexError, match=r"number 2, at t = 1, is not in .*tracers.vtkhdf$"):
-            module._frames([one, other], 2)
+            module._shots([one, other], 2, 1)
 
 
 def test_camera(tmp_path):

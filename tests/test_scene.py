@@ -222,6 +222,15 @@ def test_vorticity_is_the_curl(name):
     np.testing.assert_allclose(np.einsum("dnd->n", G), 0.0, atol=1e-13)
 
 
+@pytest.mark.parametrize("name", FLOWS)
+def test_pressure_balances_the_viscous_stress(name):
+    """Stokes' equation, grad p = mu lap U, by differences that are exact for quadratic flows."""
+    flow, x, mu = FLOWS[name], np.concatenate([np.eye(3), -np.eye(3)]), 0.7
+    stress = mu * (flow.velocity(x, 0.0).sum(axis=0) - 6.0 * flow.velocity(0.0 * x, 0.0)[0])
+    pressure = flow.pressure(x, 0.0, mu)
+    np.testing.assert_allclose((pressure[:3] - pressure[3:]) / 2.0, stress, rtol=0, atol=1e-14)
+
+
 @pytest.mark.parametrize(
     "bad",
     [

@@ -9,6 +9,7 @@ from treecode.choice.refusals import CancellationError, ToleranceError
 from treecode.dense import matrix
 from treecode.evaluation import evaluate
 from treecode.kernels import (
+    RegularizedPressure,
     RegularizedStokeslet,
     RegularizedStokesletRotlet,
     Stokeslet,
@@ -19,8 +20,8 @@ from treecode.kernels.periodic import PeriodicKernel
 from treecode.locks import Lock
 from treecode.methods.base import Method
 from treecode.methods.direct import EXACT
-from treecode.methods.registry import Choice
-from treecode.plan import Plan, backends
+from treecode.methods.registry import Choice, backends
+from treecode.plan import Plan
 from treecode.version import __version__
 
 __all__ = [
@@ -35,6 +36,7 @@ __all__ = [
     "Periodic",
     "PeriodicKernel",
     "Plan",
+    "RegularizedPressure",
     "RegularizedStokeslet",
     "RegularizedStokesletRotlet",
     "Stokeslet",

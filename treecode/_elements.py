@@ -267,7 +267,14 @@ def _erf(x: _Value) -> _Value:
 
 
 def exp(x: Any) -> Any:
-    """Return e to the power of `x`, lanes or a number; infinity where that overflows."""
+    """Return e to the power of `x`, lanes or a number; infinity where that overflows.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> round(tc.exp(1.0), 6), tc.exp(1e5)
+    (2.718282, inf)
+    """
     try:
         return math.exp(x)
     except OverflowError:
@@ -275,14 +282,28 @@ def exp(x: Any) -> Any:
 
 
 def log(x: Any) -> Any:
-    """Return the natural logarithm of `x`, lanes or a number; -infinity of 0, NaN below."""
+    """Return the natural logarithm of `x`, lanes or a number; -infinity of 0, NaN below.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.log(1.0), tc.log(0.0)
+    (0.0, -inf)
+    """
     if x > 0.0:
         return math.log(x)
     return -math.inf if x == 0.0 else math.nan
 
 
 def erf(x: Any) -> Any:
-    """Return the error function of `x`, lanes or a number."""
+    """Return the error function of `x`, lanes or a number.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> round(tc.erf(0.5), 6)
+    0.5205
+    """
     return math.erf(x)
 
 

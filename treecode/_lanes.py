@@ -182,6 +182,12 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     """Return `a` in the lanes where `condition` holds and `b` in the others.
 
     Both are computed; what an unselected lane holds, infinity or NaN included, does not matter.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.where(2.0 > 1.0, 10.0, 20.0)
+    10.0
     """
     return a if condition else b
 
@@ -354,6 +360,12 @@ def inverse_sqrt(x: Any) -> Any:
     range of that guess (2.5e-5 off) and one step of fourth order (of second order for singles): 15
     operations that all run in vectors, where the divider needs some 40 cycles for eight numbers,
     and unlike a single precision estimate it keeps the whole range of the exponent.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.inverse_sqrt(4.0)
+    0.5
     """
     return 1.0 / math.sqrt(x) if x > 0.0 else math.inf
 

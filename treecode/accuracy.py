@@ -219,7 +219,15 @@ def largest(values: np.ndarray) -> float:
 
 
 def relative_error(values: np.ndarray, exact: np.ndarray) -> float:
-    """Return the relative error in the Euclidean norm over all rows and columns, K eq. (8.1)."""
+    """Return the relative error in the Euclidean norm over all rows and columns, K eq. (8.1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import treecode as tc
+    >>> print(tc.relative_error(np.array([[3.0, 4.0, 0.1]]), np.array([[3.0, 4.0, 0.0]])))
+    0.02
+    """
     scale = float(np.linalg.norm(exact))
     error = float(np.linalg.norm(values - exact))
     return error / scale if scale > 0.0 else error

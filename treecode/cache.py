@@ -31,7 +31,14 @@ _CONFIG: Any = numba.config
 
 
 class Kept(NamedTuple):
-    """What one folder of the cache holds."""
+    """What one folder of the cache holds.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> for kept in tc.cache.contents():  # nothing is printed if nothing is kept
+    ...     print(f"{kept.kind}: {kept.bytes / 1e6:.0f} MB, last used {kept.used:%x}")
+    """
 
     path: Path
     kind: Literal["compiled code", "operators"]
@@ -44,6 +51,12 @@ def folder() -> Path | None:
     """Return where files are kept; None where there is no place for them.
 
     That is ``NUMBA_CACHE_DIR`` if it is set, else a folder of the user's.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.cache.folder().is_absolute()
+    True
     """
     try:
         root = _CONFIG.CACHE_DIR or platformdirs.user_cache_dir("treecode", appauthor=False)
@@ -57,6 +70,12 @@ def contents() -> list[Kept]:
 
     Folders of compiled code are of one version of the package each, or of a kernel of the user's.
     What other programs keep in the same place is not counted.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> sum(kept.bytes for kept in tc.cache.contents()) < 6e9  # older files are deleted
+    True
     """
     kept = []
     for path in _folders():
@@ -73,6 +92,13 @@ def clear() -> int:
 
     The next sum of each kind compiles again, and the fast multipole method builds its operators
     again. A process that runs goes on with what it has loaded.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> freed = tc.cache.clear()
+    >>> tc.cache.contents()
+    []
     """
     total = sum(entry.bytes for entry in contents())
     for path in _folders():

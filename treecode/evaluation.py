@@ -34,6 +34,15 @@ def evaluate(
     Returns
     -------
     (M, value_size) float64 ndarray
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import treecode as tc
+    >>> kernel = tc.RegularizedStokeslet(epsilon=0.01)
+    >>> u = tc.evaluate(kernel, [[0, 0, 0]], [[0, 0, 1]], targets=[[0, 0, 10], [10, 0, 0]])
+    >>> print((8.0 * np.pi * 10.0 * u[:, 2]).round(4))  # 2 along the force, 1 across
+    [2. 1.]
     """
     if unknown := set(options).difference(_OPTIONS):
         raise TypeError(

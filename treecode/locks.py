@@ -14,7 +14,16 @@ _R = TypeVar("_R")
 
 
 class Lock:
-    """A re-entrant lock; a copy of it, pickled or not, is a new one."""
+    """A re-entrant lock; a copy of it, pickled or not, is a new one.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> lock = tc.Lock()
+    >>> with lock, lock:  # a thread may take it twice
+    ...     print("one thread at a time")
+    one thread at a time
+    """
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

@@ -3,27 +3,14 @@
 Sphinx's autosummary makes the page of each name from its docstring. A name without one is an error.
 """
 
-import importlib
 import inspect
 import re
-import types
 
 import generated
+import public
 from sphinx.errors import ExtensionError
 
-# Modules by the names that users call them, and the files in which the repository has them.
-MODULES = {
-    "mrs": "mrs/__init__.py",
-    "mrs.geometry": "mrs/bodies/geometry.py",
-    "mrs.surfaces": "mrs/bodies/surfaces.py",
-    "mrs.flows": "mrs/fluid/flows.py",
-    "mrs.observables": "mrs/observables/__init__.py",
-    "mrs.rotations": "mrs/rotations.py",
-    "treecode": "treecode/__init__.py",
-    "treecode.methods": "treecode/methods/__init__.py",
-    "treecode.cache": "treecode/cache.py",
-}
-PLACES = {file: f"api/{name}.rst" for name, file in MODULES.items()}
+PLACES = {file: f"api/{name}.rst" for name, file in public.MODULES.items()}
 BAR = re.compile(r"\|(?=(?:[^`]*`[^`]*`)*[^`]*$)")  # outside of code
 PAGE = """{name}
 {underline}
@@ -39,28 +26,6 @@ PAGE = """{name}
 """
 
 
-def public_names(module):
-    """Return the names in `__all__`, or of what it defines; no modules, and constants last."""
-    here = [
-        name
-        for name, value in vars(module).items()
-        if not name.startswith("_") and getattr(value, "__module__", "") == module.__name__
-    ]
-    names = [
-        name
-        for name in getattr(module, "__all__", here)
-        if not name.startswith("__") and not isinstance(getattr(module, name), types.ModuleType)
-    ]
-    return sorted(names, key=str.isupper)
-
-
-def module_of(name):
-    """Return the module that users call, for example, `mrs.geometry`, wherever its file is."""
-    package, _, attribute = name.partition(".")
-    module = importlib.import_module(package)
-    return getattr(module, attribute) if attribute else module
-
-
 def write_pages(app, config):
     """Write a page for each module; a thing that has several names is described under the first.
 
@@ -69,15 +34,15 @@ def write_pages(app, config):
     ExtensionError
         If public names have no docstring.
     """
-    first = {}  # the first name of each thing, by its identity
-    for module_name in MODULES:
-        module = module_of(module_name)
+    first = {id(thing): name for name, thing in public.things().items()}
+    for module_name in public.MODULES:
+        module = public.module_of(module_name)
         own, also = [], []
-        for name in public_names(module):
+        for name in public.names_in(module):
             whole, thing = f"{module_name}.{name}", getattr(module, name)
             if not inspect.getdoc(thing):
                 raise ExtensionError(f"{whole} must have a docstring, as all public names")
-            if first.setdefault(id(thing), whole) == whole:
+            if first[id(thing)] == whole:
                 own.append(f"   {whole}")
             else:
                 also.append(f"* `{whole}` is :doc:`names/{first[id(thing)]}`.")
@@ -94,6 +59,19 @@ def write_pages(app, config):
             path.unlink()
 
 
+def require_descriptions(app, env):
+    """Look at what came of the pages: a page that is read as another language describes nothing.
+
+    Raises
+    ------
+    ExtensionError
+        With the names that are not described.
+    """
+    missing = [name for name in public.things() if name not in env.get_domain("py").objects]
+    if missing:
+        raise ExtensionError(f"not in the reference: {', '.join(missing)}")
+
+
 def skip_fields(app, what, name, obj, skip, options):
     """Leave out the fields of named tuples, which their class describes."""
     return skip or type(obj).__name__ == "_tuplegetter"
@@ -105,8 +83,9 @@ def escape_bars(app, what, name, obj, options, lines):
 
 
 def setup(app):
-    """Write the pages before Sphinx looks for pages."""
+    """Write the pages before Sphinx looks for pages, and look at them when it has read all."""
     app.connect("config-inited", write_pages)
+    app.connect("env-check-consistency", require_descriptions)
     app.connect("autodoc-process-docstring", escape_bars)
     app.connect("autodoc-skip-member", skip_fields)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -22,6 +22,7 @@ PAGES = {
 LINK = re.compile(r"(?<=\]\()(?!\w+:|#)([^)\s#]+)")
 ITEM = re.compile(r"^\* \[([^\]]+)\]\(([^)]+)\)", re.M)
 TOCTREE = "\n:::{{toctree}}{options}\n:hidden:\n:glob:\n\n{pages}\n:::\n"
+NOTEBOOK = "\n{{nb-download}}`This page as a notebook, with its outputs <{}.ipynb>`\n"
 # Pages below a page in the sidebar.
 BELOW = {"decisions/README": "/decisions/[0-9]*", "generated/benchmarks": "/benchmarks/*"}
 
@@ -52,7 +53,9 @@ def edit(app, docname, content):
     path = Path(app.env.doc2path(docname))
     if generated.FOLDER not in path.parents:
         content[0] = on_site(content[0], path.parent)
-    if docname == app.config.root_doc:
+    if docname.startswith("tutorials/"):
+        content[0] += NOTEBOOK.format(path.stem)
+    elif docname == app.config.root_doc:
         content[0] += "".join(sidebar(content[0]))
     elif docname in BELOW:
         content[0] += TOCTREE.format(options="", pages=BELOW[docname])

@@ -29,6 +29,14 @@ class Taper:
     steps : int, optional
         Of equal length, in each of which the function has one value, that of the middle. Blob sizes
         then have as many values, and not one for each node.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> radius = mrs.Taper(root=0.2, tip=0.1, length=4.0)
+    >>> print(radius(np.array([0.0, 2.0, 4.0])))
+    [0.2  0.15 0.1 ]
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -64,6 +72,15 @@ class TravellingWave:
     `amplitude` holds the components about D1, D2 and D3, radians per length; or it is a function
     of s that returns them, (3,) or a row for each s, for example a `Taper`. With a negative
     `period` the wave runs towards s = 0.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> wave = mrs.TravellingWave(amplitude=(2.0, 0.0, 0.0), wavelength=4.0, period=1.0)
+    >>> print(wave(np.array([1.0, 2.0]), np.array([0.0, 0.25])))  # at two s, each at its time
+    [[2. 0. 0.]
+     [2. 0. 0.]]
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}

@@ -38,6 +38,27 @@ class Body(Shown):
         Errors of positions are judged against it; 0 for points that have no length.
     noise : Noise or None
         Random motion of its pieces, which must have one position each.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> class Bead(mrs.Body):
+    ...     kind = name = "bead"
+    ...     positions, quaternions = np.zeros((1, 3)), np.empty((0, 4))
+    ...     length_scale = 0.1
+    ...
+    ...     def epsilons(self, default):
+    ...         return np.array([0.1])
+    ...
+    ...     def loads(self, time, state):
+    ...         return np.array([[0.0, 0.0, -1.0]]), None  # it falls
+    ...
+    ...     def rates(self, time, state, velocity, spin):
+    ...         return velocity, np.empty((0, 3))
+    >>> sim = mrs.Simulation(mrs.Fluid(viscosity=1.0), [Bead()])
+    >>> print(sim.now.rates.round(4))  # -1 / (4 pi 0.1)
+    [[ 0.      0.     -0.7958]]
     """
 
     kind: str

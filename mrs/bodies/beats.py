@@ -52,6 +52,17 @@ class Beat:
     the length to some per cent only. A cilium does not stretch: only the directions of the fit are
     taken, X(s, t) = L [x(0, t) + int_0^s x' / |x'| ds]. A fit that keeps the length is unchanged.
     Points are the middles of equal pieces of s. Velocities are exact.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> beat = mrs.Beat.read("lung_cilium", length=1.0, period=1.0, thickness=0.05)
+    >>> for time in (0.0, 0.25, 0.5, 0.75):
+    ...     print(beat.points(time)[-1].round(2))  # near the tip
+    [-0.51  0.    0.82]
+    [0.66 0.   0.7 ]
+    [0.48 0.   0.63]
+    [-0.04  0.    0.76]
     """
 
     def __init__(

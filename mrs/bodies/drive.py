@@ -17,6 +17,17 @@ class Drive:
 
     Constants are (3,), or (rods, 3). A function takes the rods' own times, (rods,), and returns
     one of these.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> drive = mrs.Drive(velocity=(1.0, 0.0, 0.0))
+    >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=100), motion=drive)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [ball])
+    >>> drag = sim.now.loads[:, 0].sum()
+    >>> print(round(drag / (6.0 * np.pi), 2))  # of Stokes's
+    1.01
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}
@@ -77,6 +88,21 @@ class Mount:
     turning : (3,) array_like or callable, optional
         Angular velocity relative to the body, in the axes of the body; or a function, as for
         `Drive`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> head = mrs.Rigid(mrs.surfaces.sphere(radius=0.5, count=60), name="head")
+    >>> tail = mrs.Rods(
+    ...     mrs.geometry.helix(0.2, 1.0, 1.0, nodes=21, origin=(-0.2, 0, 0.5)),
+    ...     bending=1.0, twisting=1.0, shearing=50.0, stretching=50.0,
+    ...     base=mrs.Mount("head", turning=(0.0, 0.0, 6.28)), epsilon=0.1,
+    ... )
+    >>> sim = mrs.Simulation(mrs.Fluid(), [head, tail])
+    >>> force = sim.now.loads[:, :3].sum(axis=0)  # of head and tail together
+    >>> bool(np.abs(force).max() < 1e-10)
+    True
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}

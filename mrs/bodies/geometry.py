@@ -15,7 +15,17 @@ Grading = Literal["uniform", "cosine"] | Callable[[np.ndarray], Any]
 
 
 class Centerline(NamedTuple):
-    """Nodes of one rod and their triads, of which D3 points along the rod."""
+    """Nodes of one rod and their triads, of which D3 points along the rod.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> line = mrs.geometry.straight(1.0, nodes=3).moved((0.0, 0.0, 5.0))
+    >>> print(line.nodes)
+    [[0.  0.  5. ]
+     [0.  0.  5.5]
+     [0.  0.  6. ]]
+    """
 
     nodes: np.ndarray
     """Positions, (M, 3)."""
@@ -57,6 +67,14 @@ def straight(
         the last one is about ``pi^2 / (4 nodes)`` of the mean. A function takes equally spaced
         numbers from 0 to 1, (nodes,), and returns shares of the length that rise from 0 to 1.
     origin, direction : (3,) array_like, optional
+
+    Examples
+    --------
+    >>> import mrs
+    >>> print(mrs.geometry.straight(2.0, nodes=3, direction=(1, 0, 0)).nodes.round(6) + 0.0)
+    [[0. 0. 0.]
+     [1. 0. 0.]
+     [2. 0. 0.]]
     """
     check.positive("length", length)
     check.vector("origin", origin)
@@ -95,6 +113,14 @@ def helix(
         Where the axis begins.
     direction : (3,) array_like, optional
         Of the axis.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> line = mrs.geometry.helix(radius=0.5, pitch=2.0, length=4.0, nodes=81)
+    >>> print(np.linalg.norm(line.nodes[:, :2], axis=1).round(6)[[0, 40, 80]], line.nodes[-1, 2])
+    [0.5 0.5 0.5] 4.0
     """
     check.positive("radius", radius)
     check.positive("pitch", pitch)
@@ -124,6 +150,16 @@ def ring(
 
     A `twist` that is not a multiple of 2 pi is concentrated in the last segment as it would be by
     gluing the ends of a twisted rod: the shape closes, the triads do not.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> line = mrs.geometry.ring(radius=1.0, nodes=4)
+    >>> print(line.nodes.round(6) + 0.0, line.closed)
+    [[ 1.  0.  0.]
+     [ 0.  1.  0.]
+     [-1.  0.  0.]
+     [ 0. -1.  0.]] True
     """
     check.positive("radius", radius)
     check.integer("nodes", nodes, 3)
@@ -155,6 +191,17 @@ def at_rest(
     nodes : int
     origin : (3,) array_like, optional
         Of the first node, whose triad is along the axes.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> arc = mrs.geometry.at_rest(strain=(0.5, 0.0, 0.0), spacing=0.1, nodes=5)  # radius 2
+    >>> rod = mrs.Rods(
+    ...     arc, bending=1.0, twisting=1.0, shearing=1.0, stretching=1.0,
+    ...     intrinsic_curvature=(0.5, 0.0, 0.0),
+    ... )
+    >>> bool(mrs.Simulation(mrs.Fluid(epsilon=0.1), [rod]).energy() < 1e-28)
+    True
     """
     strain = check.vector("strain", strain)
     check.integer("nodes", nodes, 2)
@@ -175,7 +222,16 @@ def at_rest(
 
 
 def array(centerline: Centerline, origins: ArrayLike) -> list[Centerline]:
-    """Return one copy of `centerline` at each of `origins`, (n, 3)."""
+    """Return one copy of `centerline` at each of `origins`, (n, 3).
+
+    Examples
+    --------
+    >>> import mrs
+    >>> cilium = mrs.geometry.straight(1.0, nodes=5)
+    >>> carpet = mrs.geometry.array(cilium, mrs.geometry.grid((3, 2), spacing=0.5))
+    >>> len(carpet), carpet[0].nodes[0].tolist()
+    (6, [-0.5, -0.25, 0.0])
+    """
     return [centerline.moved(origin) for origin in check.rows("origins", origins, 3)]
 
 
@@ -188,6 +244,14 @@ def grid(shape: Iterable[int], spacing: float) -> np.ndarray:
         Points along x, y and z; one along z by default.
     spacing : float
         Between neighbours.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> print(mrs.geometry.grid((3, 1), spacing=0.5))
+    [[-0.5  0.   0. ]
+     [ 0.   0.   0. ]
+     [ 0.5  0.   0. ]]
     """
     numbers = [check.integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape)]
     if len(numbers) not in (2, 3):
@@ -198,7 +262,19 @@ def grid(shape: Iterable[int], spacing: float) -> np.ndarray:
 
 
 def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
-    """Return triads with D3 along `third` and D1 as near to `first` as that allows, (M, 4)."""
+    """Return triads with D3 along `third` and D1 as near to `first` as that allows, (M, 4).
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> first, third = np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 3.0, 4.0]])
+    >>> triad = mrs.geometry.from_directors(first, third)
+    >>> print(mrs.rotations.axes(triad)[0].round(6) + 0.0)  # D1, D2, D3
+    [[ 1.   0.   0. ]
+     [ 0.   0.8 -0.6]
+     [ 0.   0.6  0.8]]
+    """
     d3 = third / np.linalg.norm(third, axis=1)[:, None]
     d1 = first - np.einsum("ni,ni->n", first, d3)[:, None] * d3
     d1 = d1 / np.linalg.norm(d1, axis=1)[:, None]
@@ -208,7 +284,14 @@ def from_directors(first: np.ndarray, third: np.ndarray) -> np.ndarray:
 
 
 def one_rotation(rotation: Any) -> scipy.spatial.transform.Rotation:
-    """Return a rotation of scipy's, none if it is None."""
+    """Return a rotation of scipy's, none if it is None.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> mrs.geometry.one_rotation(None).magnitude()
+    np.float64(0.0)
+    """
     turn = scipy.spatial.transform.Rotation.identity() if rotation is None else rotation
     if not isinstance(turn, scipy.spatial.transform.Rotation) or not turn.single:
         raise TypeError(f"rotation must be one scipy.spatial.transform.Rotation, got {rotation!r}")

@@ -65,6 +65,17 @@ class Layout:
     ------
     ValueError
         If there is no body or no point, or if two bodies have one name.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> rod = mrs.Rods(
+    ...     mrs.geometry.straight(1.0, nodes=11),
+    ...     bending=1.0, twisting=1.0, shearing=10.0, stretching=10.0,
+    ... )
+    >>> layout = mrs.Layout([rod, mrs.Tracers([[1.0, 0.0, 0.0]])])
+    >>> layout.count, layout.width, layout.point_name(3)
+    (12, 6, "node 3 of 'rods'")
     """
 
     def __init__(self, bodies: Sequence[Body]) -> None:

@@ -56,6 +56,16 @@ class Rigid(Body):
     Each point carries a regularized Stokeslet. The forces are such that the fluid moves with the
     points (R. Cortez, L. Fauci & A. Medovikov, Phys. Fluids 17, 031504, 2005), see
     `mrs.fluid.Resistance`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> weight = (0.0, 0.0, -6.0 * np.pi)
+    >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=100), force=weight)
+    >>> sim = mrs.Simulation(mrs.Fluid(viscosity=1.0), [ball])
+    >>> print(round(sim.now.rates[0, 2], 2))  # Stokes: -1
+    -0.99
     """
 
     kind = "rigid"
@@ -209,6 +219,17 @@ class Prescribed(Rigid):
     ------
     ValueError, TypeError
         The message names the argument and the allowed values.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> beat = mrs.Beat.read("lung_cilium", length=1.0, period=1.0, thickness=0.05, spacing=0.6)
+    >>> cilium = mrs.Prescribed(beat, positions=[[0.0, 0.0, 0.1]])
+    >>> sim = mrs.Simulation(mrs.Fluid(boundary=mrs.Wall()), [cilium])
+    >>> velocity = sim.now.motion[:, :3] - beat.velocities(0.0)
+    >>> bool(np.abs(velocity).max() < 1e-3)  # the fluid moves with the cilium
+    True
     """
 
     kind = "prescribed"

@@ -94,6 +94,18 @@ class Rods(Body):
     F_{k+1/2} - F_{k-1/2} and the torque N_{k+1/2} - N_{k-1/2} + (DX x F)_{k+1/2} / 2 + (DX x
     F)_{k-1/2} / 2. Beyond open ends F and N vanish. With q the rotation from one triad to the next,
     the discrete strain D2_s . D3, D3_s . D1, D1_s . D2 is exactly 2 Im(q) / ds.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> ring = mrs.Rods(
+    ...     mrs.geometry.ring(radius=2.0, nodes=100),
+    ...     bending=1.0, twisting=1.0, shearing=100.0, stretching=100.0,
+    ...     intrinsic_curvature=(0.0, 0.0, 0.0),  # a straight rod, bent
+    ... )
+    >>> sim = mrs.Simulation(mrs.Fluid(epsilon=0.1), [ring])
+    >>> print(round(sim.energy(), 3))  # pi bending / radius
+    1.571
     """
 
     kind = "rods"

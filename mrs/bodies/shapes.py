@@ -66,6 +66,17 @@ class Turning:
         Of the turning.
     centre : (3,) array_like, optional
         A point on the axis.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> head = mrs.surfaces.sphere(radius=1.0, count=50)
+    >>> tail = mrs.surfaces.helix(radius=0.5, pitch=2.0, length=4.0, thickness=0.1)
+    >>> shape = mrs.Turning(fixed=head, turning=tail.moved((0, 0, 1)), rate=2.0 * np.pi)
+    >>> speeds = np.linalg.norm(shape.velocities(0.0), axis=1)
+    >>> print(speeds.min(), speeds.max().round(4))  # of the head, of the tail
+    0.0 3.1416
     """
 
     def __init__(
@@ -115,6 +126,17 @@ class Moving:
         Blob size.
     lines : bool, optional
         Whether the points, in their order, are those of a centreline.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> ball = mrs.surfaces.sphere(radius=1.0, count=100)
+    >>> def breathing(time):
+    ...     return (1.0 + 0.1 * np.sin(2.0 * np.pi * time)) * ball.points
+    >>> shape = mrs.Moving(breathing, period=1.0, epsilon=ball.epsilon, lines=False)
+    >>> print(np.linalg.norm(shape.velocities(0.0), axis=1).max().round(4))  # 0.2 pi
+    0.6283
     """
 
     def __init__(

@@ -30,6 +30,13 @@ class Surface(NamedTuple):
     epsilon : float or (p,) ndarray
     lines : tuple of int ndarray
         Points that are joined in pictures, along each line; the others are drawn as spheres.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> ball = mrs.surfaces.sphere(radius=1.0, count=100).moved((0.0, 0.0, 3.0))
+    >>> print(ball.points.mean(axis=0).round(3) + 0.0, round(ball.epsilon, 4))
+    [0. 0. 3.] 0.1418
     """
 
     points: np.ndarray
@@ -55,6 +62,17 @@ def sphere(radius: float, count: int) -> Surface:
     radius : float
     count : int
         Of points. The resistance is too large by 0.7 % with 200, by 0.3 % with 800.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> ball = mrs.surfaces.sphere(radius=2.0, count=200)
+    >>> print(np.linalg.norm(ball.points, axis=1).round(6).max())
+    2.0
+    >>> drag = mrs.resistance(mrs.Rigid(ball), mrs.Fluid())[0, 0]
+    >>> print(round(drag / (6.0 * np.pi * 2.0), 3))  # of Stokes's
+    1.007
     """
     return ellipsoid((radius, radius, radius), count)
 
@@ -69,6 +87,14 @@ def ellipsoid(semi_axes: ArrayLike, count: int) -> Surface:
         Along x, y and z. Areas are equal about each point if those along x and y are equal.
     count : int
         Of points.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> cell = mrs.surfaces.ellipsoid((0.5, 0.5, 1.0), count=100)
+    >>> x, y, z = cell.points.T
+    >>> print(((x / 0.5) ** 2 + (y / 0.5) ** 2 + z**2).round(4).max())
+    1.0
     """
     a, b, c = check.within("semi_axes", check.vector("semi_axes", semi_axes), 0.0).tolist()
     mean = np.sqrt(a * b)
@@ -91,6 +117,14 @@ def capsule(radius: float, length: float, count: int) -> Surface:
         From tip to tip, at least twice the radius.
     count : int
         Of points.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> rod = mrs.surfaces.capsule(radius=0.5, length=3.0, count=200)
+    >>> print(np.hypot(rod.points[:, 0], rod.points[:, 1]).max().round(6))
+    0.5
     """
     check.positive("radius", radius)
     check.number("length", length, 2.0 * radius, 1e60, low_inclusive=True)
@@ -116,6 +150,14 @@ def revolution(
         Where the surface begins and ends.
     count : int
         Of points.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> cone = mrs.surfaces.revolution(lambda z: 0.5 * z, heights=(0.0, 2.0), count=400)
+    >>> low = cone.points[:, 2] < 1.0  # a quarter of the area
+    >>> print(low.mean())
+    0.25
     """
     check.integer("count", count, 1)
     low, high = check.vector("heights", (*heights, 0.0))[:2]
@@ -144,6 +186,13 @@ def disc(radius: float, count: int) -> Surface:
     radius : float
     count : int
         Of points.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> disc = mrs.Rigid(mrs.surfaces.disc(radius=1.0, count=200))
+    >>> print(round(mrs.resistance(disc, mrs.Fluid())[2, 2], 1))  # broadside 16, with more points
+    15.0
     """
     check.positive("radius", radius)
     check.integer("count", count, 1)
@@ -165,6 +214,13 @@ def along(centerline: geometry.Centerline, thickness: float, *, spacing: float =
         Radius of the body.
     spacing : float, optional
         Between points, in blob sizes.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> ring = mrs.surfaces.along(mrs.geometry.ring(1.0, nodes=60), thickness=0.05)
+    >>> len(ring.points), round(ring.epsilon, 4)
+    (254, 0.0824)
     """
     nodes = check.points("centerline.nodes", centerline.nodes)
     if centerline.closed:
@@ -193,6 +249,13 @@ def slender(length: float, thickness: float, spacing: float) -> tuple[int, float
         Of its centreline, and its radius.
     spacing : float
         Between points, in blob sizes.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> count, epsilon = mrs.surfaces.slender(length=2.0, thickness=0.1, spacing=0.3)
+    >>> count, round(epsilon, 4)
+    (40, 0.1649)
     """
     epsilon = float(np.sqrt(np.e)) * check.positive("thickness", thickness)
     return max(1, round(length / (check.positive("spacing", spacing) * epsilon))), epsilon
@@ -219,6 +282,14 @@ def helix(
     spacing : float, optional
         Between points, in blob sizes.
     handedness : {"right", "left"}, optional
+
+    Examples
+    --------
+    >>> import mrs
+    >>> tail = mrs.Rigid(mrs.surfaces.helix(0.2, pitch=1.0, length=2.0, thickness=0.1))
+    >>> matrix = mrs.resistance(tail, mrs.Fluid())
+    >>> print(matrix[2, 5].round(2))  # the force along z of a turn about z
+    -0.24
     """
     nodes = max(16, int(np.ceil(64.0 * length / check.positive("pitch", pitch))))
     line = geometry.helix(radius, pitch, length, nodes, handedness=handedness)
@@ -232,6 +303,14 @@ def joined(*surfaces: Surface) -> Surface:
     ------
     ValueError
         If there is none.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> ball = mrs.surfaces.sphere(radius=1.0, count=50)
+    >>> pair = mrs.surfaces.joined(ball, ball.moved((0.0, 0.0, 3.0)))
+    >>> pair.points.shape
+    (100, 3)
     """
     if not surfaces:
         raise ValueError("surfaces must be at least one")
@@ -259,6 +338,15 @@ def read(path: str | os.PathLike[str]) -> Surface:
     ------
     ValueError
         If there are no triangles.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import pyvista
+    >>> pyvista.Sphere(radius=1.0).save("head.stl")
+    >>> head = mrs.surfaces.read("head.stl")
+    >>> print(len(head.points), round(abs(head.points).max(), 4))
+    842 1.0
     """
     import meshio  # not before it is used: it takes a fifth of a second
 

@@ -57,6 +57,14 @@ class Swimmers(Body):
     With d from flagellum to body, dx_B/dt = u(x_B) and
     dd/dt = (I - d d^T)(u(x_B) - u(x_F)) / l, with u due to all particles and the background.
     Alone, a swimmer moves at f / (4 pi mu) (1/eps_B - 1/sqrt(l^2 + eps_F^2)) along p.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(viscosity=1.0), [pusher])
+    >>> print(round(sim.now.rates[0, 2], 4))  # (1/0.1 - 1/sqrt(1.01)) / (4 pi)
+    0.7166
     """
 
     kind = "swimmers"
@@ -212,6 +220,14 @@ def random_suspension(
     ------
     ValueError
         If that many do not fit, after as many draws as make it certain in practice.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> from scipy.spatial.distance import pdist
+    >>> positions, orientations = mrs.random_suspension(20, size=4.0, spacing=0.5)
+    >>> positions.shape, bool(pdist(positions).min() >= 0.5)
+    ((20, 3), True)
     """
     check.integer("count", count, 0)
     edges = check.broadcast("size", size, (3,), 0.0)
@@ -275,6 +291,17 @@ def lattice_suspension(
         Of all of them; random by default.
     seed : int, optional
         Of random directions.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> positions, orientations = mrs.lattice_suspension((2, 1, 1), 3.0, direction=(0, 0, 2))
+    >>> print(positions)
+    [[-1.5  0.   0. ]
+     [ 1.5  0.   0. ]]
+    >>> print(orientations)
+    [[0. 0. 1.]
+     [0. 0. 1.]]
     """
     positions = geometry.grid(shape, spacing)
     if direction is None:

@@ -24,6 +24,15 @@ class Tracers(Body):
         Of the random motion.
     name : str, optional
         Of the output file.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> dust = mrs.Tracers([[1.0, 1.0, 0.0]])
+    >>> fluid = mrs.Fluid(background=mrs.flows.extension(rate=1.0))
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=mrs.Integrator("rk4", dt=0.05)).run(1.0)
+    >>> print(sim.state.positions.round(4))  # e, 1 / sqrt(e)
+    [[2.7183 0.6065 0.    ]]
     """
 
     kind = "tracers"

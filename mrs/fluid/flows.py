@@ -14,7 +14,25 @@ Field = Callable[[np.ndarray, float], np.ndarray]
 
 
 class Flow(Protocol):
-    """A solution of the Stokes equations without the bodies."""
+    """A solution of the Stokes equations without the bodies.
+
+    If it has a method ``pressure(points, time, viscosity)``, returning (N,), the pressure of stored
+    frames is known too.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> class Vortex:  # a line vortex along z; its vorticity is zero around it
+    ...     def velocity(self, points, time):
+    ...         x, y = points[:, 0], points[:, 1]
+    ...         return np.column_stack([-y, x, 0 * x]) / (x**2 + y**2)[:, None]
+    >>> dust = mrs.Tracers([[2.0, 0.0, 0.0]])
+    >>> sim = mrs.Simulation(mrs.Fluid(background=Vortex()), [dust])
+    >>> print(sim.velocity([[2.0, 0.0, 0.0], [0.0, 4.0, 0.0]]))
+    [[ 0.    0.5   0.  ]
+     [-0.25  0.    0.  ]]
+    """
 
     def velocity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the velocity at points, (N, 3)."""
@@ -39,6 +57,15 @@ class QuadraticFlow:
     ------
     ValueError
         If the flow is not free of divergence.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> flow = mrs.flows.QuadraticFlow(gradient=[[0, -1, 0], [1, 0, 0], [0, 0, 0]])  # a rotation
+    >>> points = np.array([[2.0, 0.0, 0.0]])
+    >>> print(flow.velocity(points, 0.0) + 0.0, flow.vorticity(points, 0.0))
+    [[0. 2. 0.]] [[0. 0. 2.]]
     """
 
     def __init__(
@@ -69,6 +96,10 @@ class QuadraticFlow:
     def vorticity(self, points: np.ndarray, time: float) -> np.ndarray:
         """Return the curl of the velocity, (N, 3)."""
         return _curl(self.gradient) + points @ (2.0 * _curl(self.quadratic)).T
+
+    def pressure(self, points: np.ndarray, time: float, viscosity: float) -> np.ndarray:
+        """Return the pressure at points, (N,), zero at the origin: its gradient is mu lap U."""
+        return viscosity * points @ (2.0 * np.einsum("ijj", self.quadratic))
 
 
 def _zero_or(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
@@ -104,6 +135,14 @@ def shear(
     ------
     ValueError, TypeError
         If the directions are not at right angles, or for anything that is not finite numbers.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> flow = mrs.flows.shear(rate=2.0)
+    >>> print(flow.velocity(np.array([[0.0, 0.0, 3.0]]), 0.0))
+    [[6. 0. 0.]]
     """
     rate = check.number("rate", rate, -np.inf, np.inf)
     along, across = check.direction("direction", direction), check.direction("gradient", gradient)
@@ -118,14 +157,32 @@ def shear(
 
 @check.spelling
 def extension(rate: float) -> QuadraticFlow:
-    """Return U = rate (x, -y/2, -z/2), uniaxial extension along x."""
+    """Return U = rate (x, -y/2, -z/2), uniaxial extension along x.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> print(mrs.flows.extension(rate=1.0).velocity(np.array([[1.0, 2.0, 0.0]]), 0.0) + 0.0)
+    [[ 1. -1.  0.]]
+    """
     rate = check.number("rate", rate, -np.inf, np.inf)
     return QuadraticFlow(gradient=np.diag([rate, -0.5 * rate, -0.5 * rate]))
 
 
 @check.spelling
 def poiseuille(speed: float, radius: float) -> QuadraticFlow:
-    """Return U = speed (1 - (y^2 + z^2) / radius^2) along x, as in a tube of that radius."""
+    """Return U = speed (1 - (y^2 + z^2) / radius^2) along x, as in a tube of that radius.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> flow = mrs.flows.poiseuille(speed=1.0, radius=2.0)
+    >>> points = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, 0.0]])
+    >>> print(flow.velocity(points, 0.0)[:, 0])
+    [1.   0.75 0.  ]
+    """
     speed = check.number("speed", speed, -np.inf, np.inf)
     quadratic = np.zeros((3, 3, 3))
     quadratic[0, 1, 1] = quadratic[0, 2, 2] = -speed / check.positive("radius", radius) ** 2
@@ -141,6 +198,16 @@ class UserFlow:
     velocity, vorticity : callable
         Each returns (N, 3), or (3,) for all points alike; `vorticity` is the curl of `velocity`.
         Vorticity turns the triads of rods; without rods in the scene it may be left out.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> tide = mrs.flows.UserFlow(lambda points, time: (np.cos(time), 0.0, 0.0))
+    >>> fluid, dust = mrs.Fluid(background=tide), mrs.Tracers([[0.0, 0.0, 0.0]])
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=mrs.Integrator("rk4", dt=0.1))
+    >>> print(sim.run(np.pi / 2).state.positions.round(3))
+    [[1. 0. 0.]]
     """
 
     def __init__(self, velocity: Field, vorticity: Field | None = None) -> None:

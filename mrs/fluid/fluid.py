@@ -43,6 +43,15 @@ class Fluid:
     ValueError, TypeError
         For an argument that is out of its range; if the background flows at a wall, or differs
         from box to box.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> water = mrs.Fluid(viscosity=1e-3, background=mrs.flows.poiseuille(speed=1.0, radius=2.0))
+    >>> dust = mrs.Tracers([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> print(mrs.Simulation(water, [dust]).now.rates)
+    [[1.   0.   0.  ]
+     [0.75 0.   0.  ]]
     """
 
     viscosity: float = 1.0

@@ -20,6 +20,20 @@ class Force:
     ----------
     kind : str
         Its name in TOML files.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> class Pull(mrs.Force):
+    ...     kind = "pull"
+    ...
+    ...     def forces(self, time, points, layout, fluid):
+    ...         return np.tile([0.0, 0.0, -6.0 * np.pi / len(points)], (len(points), 1))
+    >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=100))
+    >>> sim = mrs.Simulation(mrs.Fluid(), [ball], forces=[Pull()])
+    >>> print(round(sim.now.rates[0, 2], 2))  # Stokes: -1
+    -0.99
     """
 
     kind: ClassVar[str]

@@ -34,6 +34,16 @@ class Gravity(Force):
     ValueError, TypeError
         If not exactly one of the two forces is given; in a scene, if a body is not there, or has
         no length.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=100))
+    >>> weight = mrs.Gravity(per_point=(0.0, 0.0, -6.0 * np.pi / 100))
+    >>> sim = mrs.Simulation(mrs.Fluid(viscosity=2.0), [ball], forces=[weight])
+    >>> print(round(sim.now.rates[0, 2], 2))  # Stokes: -1 / viscosity
+    -0.49
     """
 
     kind: ClassVar[str] = "gravity"

@@ -47,6 +47,14 @@ class Springs(Force):
     In a periodic box a spring goes to that image of its end which is nearest at time zero, and
     stays with it, however far the ends move, and where a shear flow carries the box. Positions of a
     state are not wrapped into the box.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> tether = mrs.Springs([("swimmers", 0)], [(0, 0, 2)], stiffness=3.0, rest_length=1.0)
+    >>> mrs.Simulation(mrs.Fluid(), [pusher], forces=[tether]).energy()
+    1.5
     """
 
     kind = "springs"

@@ -32,6 +32,17 @@ class Steric(Force):
         a, of every point.
     chi : float, optional
         How far the repulsion reaches, in contact distances; above 1.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> repulsion = mrs.Steric(strength=4.0, radius=0.5)
+    >>> pair = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])  # in contact
+    >>> pieces, ends, open_lines = np.array([0, 1]), np.zeros(2), np.full(2, np.inf)
+    >>> print(repulsion.between(pair, pieces, ends, open_lines).round(6))
+    [[-4.  0.  0.]
+     [ 4.  0.  0.]]
     """
 
     kind: ClassVar[str] = "steric"

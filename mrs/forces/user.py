@@ -34,6 +34,17 @@ class UserForce(Force):
     ------
     ValueError, TypeError
         If neither is given; in a scene, if the body is not there, or takes no torque.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> ball = mrs.Rigid(mrs.surfaces.sphere(radius=1.0, count=100), name="ball")
+    >>> def trap(time, points, state):  # a spring to the plane x = 1
+    ...     return 6.0 * np.pi / len(points) * np.array([1.0 - state.positions[0, 0], 0.0, 0.0])
+    >>> sim = mrs.Simulation(mrs.Fluid(), [ball], forces=[mrs.UserForce("ball", trap)])
+    >>> print(round(sim.now.rates[0, 0], 2))
+    0.99
     """
 
     kind = "user"

@@ -58,6 +58,16 @@ class Flux:
     ----------
     corner, sides, order
         As for `Rectangle`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> section = mrs.observables.Flux(corner=(0, -1, -1), sides=[(0, 2, 0), (0, 0, 2)])
+    >>> fluid = mrs.Fluid(background=mrs.flows.poiseuille(speed=1.0, radius=2.0))
+    >>> output = mrs.Output("outputs/tube", interval=1.0, columns={"Q": section})
+    >>> sim = mrs.Simulation(fluid, [mrs.Tracers([[0, 0, 0]])], output=output).run(1.0)
+    >>> print(mrs.open_run("outputs/tube").log["Q"].round(6))  # 4 (1 - 1/6)
+    [3.333333 3.333333]
     """
 
     kind = "flux"
@@ -82,6 +92,14 @@ class VelocityProfile:
     corner, sides, order
         As for `Rectangle`.
     direction : (3,) array_like, optional
+
+    Examples
+    --------
+    >>> import mrs
+    >>> profile = mrs.observables.VelocityProfile([0, 1, 2], (0, 0, 0), [(1, 0, 0), (0, 1, 0)])
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> print(profile(mrs.Simulation(fluid, [dust])).round(6))
+    [0. 1. 2.]
     """
 
     kind = "velocity_profile"
@@ -113,6 +131,15 @@ class PumpedFlux:
     ----------
     direction : (3,) array_like, optional
         Along the wall.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> pusher = mrs.Swimmers([[0, 0, 2]], [[0.6, 0, 0.8]], length=1.0, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(boundary=mrs.Wall()), [pusher])
+    >>> print(round(np.pi * mrs.observables.PumpedFlux()(sim), 4))  # 0.6 (2 - 1.2)
+    0.48
     """
 
     kind = "pumped_flux"
@@ -176,6 +203,14 @@ class MeanSquareDisplacement(_OfBody):
     ----------
     body : str
         Its name.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 2]])
+    >>> sim = mrs.Simulation(fluid, [dust]).run(1.0)
+    >>> print(round(mrs.observables.MeanSquareDisplacement("tracers")(sim), 6))
+    4.0
     """
 
     kind = "mean_square_displacement"
@@ -195,6 +230,14 @@ class OrientationMemory(_OfBody):
     ----------
     body : str
         Name of swimmers, or of rods, of which p is D3 of each node.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [pusher]).run(1.0)
+    >>> print(round(mrs.observables.OrientationMemory("swimmers")(sim), 6))
+    1.0
     """
 
     kind = "orientation_memory"
@@ -250,6 +293,15 @@ class PairDistribution(_ByDistance):
         Its name.
     bins, cell
         As for `pair_distribution`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> positions, directions = mrs.lattice_suspension((4, 4, 4), 1.0)
+    >>> swimmers = mrs.Swimmers(positions, directions, length=0.5, force=1.0, epsilon=0.1)
+    >>> g = mrs.observables.PairDistribution("swimmers", bins=[0.0, 0.9, 1.1], cell=(4, 4, 4))
+    >>> g(mrs.Simulation(mrs.Fluid(), [swimmers]))
+    array([0.        , 2.41716098])
     """
 
     kind = "pair_distribution"
@@ -271,6 +323,15 @@ class OrientationCorrelation(_ByDistance):
         Name of swimmers, or of rods, of which p is D3 of each node.
     bins, cell
         As for `orientation_correlation`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> positions, directions = mrs.lattice_suspension((3, 3, 3), 1.0, direction=(1, 0, 0))
+    >>> swimmers = mrs.Swimmers(positions, directions, length=0.5, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [swimmers])
+    >>> mrs.observables.OrientationCorrelation("swimmers", bins=[0.5, 1.2, 2.0])(sim)
+    array([1., 1.])
     """
 
     kind = "orientation_correlation"

@@ -41,6 +41,14 @@ class Rectangle:
     ------
     ValueError, TypeError
         If the sides are parallel, or an argument has another shape.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> square = mrs.observables.Rectangle(corner=(0, 0, 0), sides=[(2, 0, 0), (0, 2, 0)], order=3)
+    >>> x = square.points[:, 0]
+    >>> print(square.area, round(square.weights @ x**4, 6))  # the mean of x^4 is 3.2
+    4.0 3.2
     """
 
     def __init__(self, corner: ArrayLike, sides: ArrayLike, order: int = 16) -> None:
@@ -71,6 +79,14 @@ def flux(velocity: Velocity, rectangle: Rectangle) -> float:
     ------
     ValueError
         If the velocity is not finite or has another shape.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> square = mrs.observables.Rectangle((0, -1, -1), [(0, 2, 0), (0, 0, 2)])
+    >>> tube = mrs.flows.poiseuille(speed=1.0, radius=2.0)
+    >>> print(round(mrs.observables.flux(lambda points: tube.velocity(points, 0.0), square), 6))
+    3.333333
     """
     (mean,) = velocity_profile(velocity, rectangle, [0.0])
     return float(rectangle.area * rectangle.normal @ mean)
@@ -91,6 +107,15 @@ def velocity_profile(velocity: Velocity, rectangle: Rectangle, heights: ArrayLik
     ------
     ValueError
         If the velocity is not finite or has another shape.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> tube = mrs.flows.poiseuille(speed=1.0, radius=2.0)
+    >>> strip = mrs.observables.Rectangle((0, 0, 0), [(1, 0, 0), (0, 1e-3, 0)])
+    >>> velocity = lambda points: tube.velocity(points, 0.0)
+    >>> print(mrs.observables.velocity_profile(velocity, strip, [0, 1, 2])[:, 0].round(4) + 0.0)
+    [1.   0.75 0.  ]
     """
     heights = check.shaped("heights", heights, (np.size(heights),))
     points = (rectangle.points + heights[:, None, None] * rectangle.normal).reshape(-1, 3)
@@ -136,6 +161,14 @@ def pumped_flux(
     across d does not depend on the plane. For forces see Liron (1978), J. Fluid Mech. 86, 705, and
     Smith, Blake & Gaffney (2008), J. R. Soc. Interface 5, 567. A torque is a couple of forces at
     two heights, of which the symmetric half pumps nothing: so follows its factor of one half.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> flux = mrs.observables.pumped_flux([[0, 0, 2]], [[1, 0, 0]], viscosity=1.0)
+    >>> print(round(flux * np.pi, 6))  # height times force
+    2.0
     """
     wall = Wall() if wall is None else check.instance("wall", wall, Wall)
     points = check.points("points", points)

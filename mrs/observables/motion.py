@@ -34,6 +34,15 @@ def mean_square_displacement(
     ------
     ValueError, TypeError
         If an argument has another shape, or times are not equally spaced.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> times = np.arange(4.0)
+    >>> positions = times[:, None, None] * np.array([[3.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> print(mrs.observables.mean_square_displacement(times, positions))
+    [ 0.  5. 20. 45.]
     """
 
     def square(start: np.ndarray, end: np.ndarray) -> float:
@@ -61,6 +70,15 @@ def orientation_memory(
     ------
     ValueError, TypeError
         If an argument has another shape, times are not equally spaced, or a direction is zero.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> angle = 2.0 * np.pi * np.arange(5) / 8  # a swimmer that turns
+    >>> directions = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])[:, None]
+    >>> print(mrs.observables.orientation_memory(np.arange(5.0), directions).round(4) + 0.0)
+    [ 1.      0.7071  0.     -0.7071 -1.    ]
     """
 
     def product(start: np.ndarray, end: np.ndarray) -> float:
@@ -85,6 +103,14 @@ def growth_exponent(lags: ArrayLike, values: ArrayLike) -> float:
     ------
     ValueError
         If values are not positive, or if there are less than two different lags.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> lags = np.arange(1.0, 6.0)
+    >>> print(round(mrs.observables.growth_exponent(lags, 4.0 * lags**2), 6))
+    2.0
     """
     lags, values = _curve(lags, values)
     lags, values = lags[lags > 0.0], values[lags > 0.0]
@@ -109,6 +135,14 @@ def diffusivity(lags: ArrayLike, values: ArrayLike, dimensions: int = 3) -> floa
     ------
     ValueError
         If there are less than two different lags.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> lags = np.arange(1.0, 6.0)
+    >>> print(round(mrs.observables.diffusivity(lags, 6 * 0.5 * lags + 1.0), 6))
+    0.5
     """
     check.integer("dimensions", dimensions, 1, 3)
     return _slope(*_curve(lags, values)) / (2 * dimensions)

@@ -40,6 +40,14 @@ def pair_distribution(
     -----
     With a cell, g = pairs / [n (n - 1) (shell's volume) / V]. Without, the shell's volume is
     multiplied by the mean over directions of (overlap of the box with itself moved by r) / V.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> gas = np.random.default_rng(0).random((2000, 3))
+    >>> print(mrs.observables.pair_distribution(gas, [0.1, 0.2, 0.3], cell=(1, 1, 1)).round(2))
+    [1. 1.]
     """
     points, edges = check.points("positions", positions), bin_edges(bins)
     count = len(points)
@@ -77,6 +85,14 @@ def orientation_correlation(
     ValueError, TypeError
         If an argument has another shape, a direction is zero, or if bins reach beyond half the
         width of the cell.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> positions = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
+    >>> directions = [[1, 0, 0], [1, 0, 0], [-1, 0, 0]]
+    >>> print(mrs.observables.orientation_correlation(positions, directions, bins=[0.5, 1.5, 2.5]))
+    [ 0. -1.]
     """
     points, edges = check.points("positions", positions), bin_edges(bins)
     unit = unit_vectors("directions", check.rows("directions", directions, 3, len(points)))
@@ -104,6 +120,14 @@ def number_density(
     ------
     ValueError, TypeError
         If an argument has another shape, or the edges do not increase.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> positions = np.random.default_rng(0).random((1000, 3)) ** [1, 1, 2]  # denser below
+    >>> print(mrs.observables.number_density(positions, [0.0, 0.25, 1.0], area=1.0))
+    [2008.  664.]
     """
     points, edges = check.points("positions", positions), _increasing("edges", edges)
     check.positive("area", area)

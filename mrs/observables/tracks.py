@@ -17,7 +17,18 @@ _FLAGELLUM = 1  # in the array "bead"
 
 
 class Tracks(NamedTuple):
-    """Positions and directions of one body in all frames."""
+    """Positions and directions of one body in all frames.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> output = mrs.Output("outputs/sheared", interval=0.5)
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> times, positions, directions, cell = mrs.observables.tracks("outputs/sheared", "tracers")
+    >>> positions.shape, directions is None, cell is None
+    ((3, 1, 3), True, True)
+    """
 
     times: np.ndarray
     """(T,)."""
@@ -46,6 +57,16 @@ def tracks(directory: str | os.PathLike[str], body: str) -> Tracks:
         If there are no trajectories.
     ValueError
         If there is no body of that name, or no frame yet.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> output = mrs.Output("outputs/pusher", interval=0.5)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [pusher], output=output).run(1.0)
+    >>> times, positions, directions, _ = mrs.observables.tracks("outputs/pusher", "swimmers")
+    >>> print(positions[:, 0, 2].round(3), directions[-1])
+    [0.    0.358 0.717] [[0. 0. 1.]]
     """
     paths = {path.stem: path for path in trajectory_paths(directory)}
     with Trajectory(paths[check.one_of("body", body, paths)]) as file:
@@ -88,6 +109,17 @@ def frame_loads(
     Notes
     -----
     Forces and torques are stored in single precision.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> output = mrs.Output("outputs/pusher", interval=0.5)
+    >>> sim = mrs.Simulation(mrs.Fluid(), [pusher], output=output).run(0.5)
+    >>> points, loads = mrs.observables.frame_loads("outputs/pusher", frame=0)
+    >>> print(loads[:, :3])
+    [[ 0.  0.  1.]
+     [-0. -0. -1.]]
     """
     return StoredFrame(directory, frame).loads
 

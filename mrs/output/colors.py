@@ -13,7 +13,12 @@ _DEFAULT_FIELD = "velocity"
 _TRANSIENT = 2.0  # times as far as three quarters of the frames reach
 
 
-def colors_of(bodies: list[Trajectory], frames: list[Places], color_by: str | None) -> Colors:
+def colors_of(
+    bodies: list[Trajectory],
+    frames: list[Places],
+    color_by: str | None,
+    color_range: tuple[float, float] | None = None,
+) -> Colors:
     """Find the range of colours of all frames.
 
     They span the values in all frames, but for a transient: a frame that reaches more than twice as
@@ -26,6 +31,8 @@ def colors_of(bodies: list[Trajectory], frames: list[Places], color_by: str | No
         Of each, its place in the file of each body.
     color_by : str or None
         An array at points or cells; "velocity", if there is such an array, by default.
+    color_range : (low, high), optional
+        In place of the range that is found. Values beyond have the colours of its ends.
 
     Raises
     ------
@@ -47,7 +54,7 @@ def colors_of(bodies: list[Trajectory], frames: list[Places], color_by: str | No
         raise ValueError(f"color_by must be one of {names}, got {color_by!r}")
     if not ranges:
         return Colors(None, (0.0, 0.0), "")
-    low, high = _without_transient(np.array(ranges))
+    low, high = color_range or _without_transient(np.array(ranges))
     title = field.replace("_", " ") + (" (magnitude)" if vector else "")
     beyond = max(top for _, top in ranges)
     return Colors(field, (low, high), title + (f", up to {beyond:.3g}" if beyond > high else ""))

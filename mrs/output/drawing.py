@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from mrs.fluid import Periodic
 from mrs.fluid.mobility import Boundary
 from mrs.output.camera import ANGLE, TIP, Places, Stage, cell_corners
 from mrs.output.colors import Colors, field_at_points, magnitude
+from mrs.output.legend import COLOR_MAP, INK, add_legend
 from mrs.output.trajectory import Trajectory
 from mrs.output.vtp import polydata
 
@@ -24,8 +25,8 @@ _COLORS = {
     "swimmers": "#c8553d",
     "tracers": "#8a8f98",
 }
-_COLOR_MAP = "viridis"
-_PAPER, _INK, _WALL = "white", "#303030", "#d4d4ce"
+_PAPER, _WALL = "white", "#d4d4ce"
+_HEIGHT = 800  # of a picture, in pixels, of which widths of lines and points are given
 _LIGHTS = (((-1, 1, 2), 0.75), ((2, 0.5, 1), 0.35), ((0, -1, 1), 0.2))  # positions, intensities
 _SHARP = {"smooth_shading": True, "split_sharp_edges": True}
 _MATERIAL: dict[str, Any] = {
@@ -36,6 +37,17 @@ _MATERIAL: dict[str, Any] = {
     "specular_power": 20,
 }
 _FACETS = 2_000_000  # of all spheres together, at most
+
+
+class Marks(NamedTuple):
+    """What is on a picture beside the bodies."""
+
+    scale_bar: str | None = None
+    """Unit of length beside a bar of a round length; None for no bar."""
+    transparent: bool = False
+    """Whether there is no paper behind the bodies."""
+
+
 _Shapes = list[tuple[Any, dict[str, Any]]]  # meshes, and how to draw them
 
 
@@ -45,8 +57,10 @@ def picture(
     colors: Colors,
     stage: Stage,
     boundary: Boundary | None,
+    past: list[Places],
+    marks: Marks,
 ) -> np.ndarray:
-    """Return a frame as pixels, (height, width, 3) uint8.
+    """Return a frame as pixels, (height, width, 3) uint8, or 4 if the paper is transparent.
 
     Parameters
     ----------
@@ -57,6 +71,9 @@ def picture(
     stage : Stage
     boundary : Boundary or None
         Of this frame; a box is drawn.
+    past : list of list of int
+        Frames before this one, in order, that trails of tracers lead through.
+    marks : Marks
     """
     import pyvista as pv
 
@@ -69,20 +86,35 @@ def picture(
             plotter.add_light(light)
         if stage.floor is not None:
             _add_wall(plotter, stage.floor)
+        thick = max(1.0, stage.size[1] / _HEIGHT)
         if isinstance(boundary, Periodic):
-            _add_cell(plotter, (cell_corners(boundary) - stage.center) / stage.extent)
-        for body, i in zip(bodies, places, strict=True):
+            _add_cell(plotter, (cell_corners(boundary) - stage.center) / stage.extent, thick)
+        for number, (body, i) in enumerate(zip(bodies, places, strict=True)):
             if body.topology.cells:
-                _add_body(plotter, body, i, colors, stage)
-        _add_legend(plotter, f"t = {bodies[0].times[places[0]]:.4g}", colors)
+                _add_body(plotter, body, i, colors, stage, thick)
+            if past and body.meta.get("kind") == "tracers":
+                _add_trails(plotter, body, [*(before[number] for before in past), i], stage, thick)
+        time = bodies[0].times[places[0]]
+        add_legend(plotter, time, colors, stage, marks.scale_bar)
         plotter.camera_position = [tuple(map(float, point)) for point in stage.camera]
         plotter.camera.view_angle = ANGLE
         plotter.camera.SetWindowCenter(0, -stage.foot)
         plotter.camera_set = True
         plotter.renderer.reset_camera_clipping_range()
-        return np.asarray(plotter.screenshot(return_img=True))
+        options = {"transparent_background": marks.transparent}
+        pixels = np.asarray(plotter.screenshot(return_img=True, **options))
+        return _without_paper(pixels) if marks.transparent else pixels
     finally:
         plotter.close()
+
+
+def _without_paper(pixels: np.ndarray) -> np.ndarray:
+    """Return pixels, (height, width, 4), whose edges are not mixed with the white of the paper."""
+    opaque = pixels[..., 3:] / 255.0
+    white = 255.0 * (1.0 - opaque)
+    colors = (pixels[..., :3] - white) / np.where(opaque > 0.0, opaque, 1.0)
+    bare = np.concatenate([colors, pixels[..., 3:]], axis=-1)
+    return bare.round().clip(0.0, 255.0).astype(np.uint8)
 
 
 def _add_wall(plotter: pv.Plotter, corners: np.ndarray) -> None:
@@ -93,58 +125,49 @@ def _add_wall(plotter: pv.Plotter, corners: np.ndarray) -> None:
     plotter.add_mesh(wall, color=_WALL, culling="back", lighting=False, render=False)
 
 
-def _add_cell(plotter: pv.Plotter, corners: np.ndarray) -> None:
+def _add_cell(plotter: pv.Plotter, corners: np.ndarray, line_width: float) -> None:
     """Draw the edges of a periodic box, or of the cell of a slab at z = 0."""
     import pyvista as pv
 
     steps = (1, 2, 4)[: len(corners) // 4 + 1]
     pairs = [(i, i | step) for i in range(len(corners)) for step in steps if not i & step]
     lines = np.insert(pairs, 0, 2, axis=1)  # the number of points before each
-    plotter.add_mesh(pv.PolyData(corners, lines=lines), color=_INK, line_width=1, render=False)
+    look: dict[str, Any] = {"color": INK, "line_width": line_width}
+    plotter.add_mesh(pv.PolyData(corners, lines=lines), render=False, **look)
 
 
-def _add_body(plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, stage: Stage) -> None:
+def _add_body(
+    plotter: pv.Plotter, body: Trajectory, i: int, colors: Colors, stage: Stage, thick: float
+) -> None:
     kind = str(body.meta.get("kind"))
     shapes = SHAPES.get(kind, _tubes if body.topology.lines else _dots)
     for mesh, look in shapes(_mesh(body, i, colors.field, stage)):
         if "color" in mesh.point_data:
-            look |= {"scalars": "color", "clim": colors.range, "cmap": _COLOR_MAP}
+            look |= {"scalars": "color", "clim": colors.range, "cmap": COLOR_MAP}
         else:
             look |= {"color": _COLORS.get(kind, _COLORS["rods"])}
+        if "point_size" in look:
+            look["point_size"] *= thick
         plotter.add_mesh(mesh, show_scalar_bar=False, **_MATERIAL, **look)
 
 
-def _add_legend(plotter: Any, time: str, colors: Colors) -> None:
-    """Write the time and the meaning of the colours, in letters that fit the picture."""
+def _add_trails(
+    plotter: pv.Plotter, body: Trajectory, frames: list[int], stage: Stage, thick: float
+) -> None:
+    """Draw lines through the places of tracers in some frames, but for leaps across a box."""
     import pyvista as pv
 
-    width, height = plotter.window_size
-    letter = max(12, round(height / 40))
-    texts = [(time, "left", (letter, letter))]
-    if colors.field is not None:
-        texts.append((colors.title, "center", (width // 2, round(0.03 * height + 2.0 * letter))))
-        key = pv.DataSetMapper()
-        key.lookup_table = pv.LookupTable(_COLOR_MAP, scalar_range=colors.range)
-        bar = plotter.add_scalar_bar(
-            "",  # its own title would run into the labels
-            mapper=key,
-            n_labels=3,
-            fmt="%.3g",
-            width=0.26,
-            height=0.03 + 1.2 * letter / height,
-            position_x=0.37,
-            position_y=0.02,
-            label_font_size=round(0.9 * letter),
-            unconstrained_font_size=True,
-            color=_INK,
-        )
-        bar.SetBarRatio(0.02 / (0.03 + 1.2 * letter / height))
-        bar.SetTextPositionToSucceedScalarBar()
-    for words, side, place in texts:
-        text = pv.Text(words, position=place)
-        text.prop.font_size, text.prop.color = letter, _INK
-        text.prop.justification_horizontal = side
-        plotter.add_actor(text, render=False)
+    points = np.stack([body.points(i).astype(np.float64) for i in frames])
+    number = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
+    steps = np.stack([number[:-1], number[1:]], axis=-1)
+    if "image" in body.point_data(frames[0]):
+        image = np.stack([body.point_data(i)["image"] for i in frames])
+        steps = steps[(image[1:] == image[:-1]).all(axis=2)]
+    lines = np.insert(steps.reshape(-1, 2), 0, 2, axis=1)  # the number of points before each
+    if len(lines):
+        mesh = pv.PolyData((points.reshape(-1, 3) - stage.center) / stage.extent, lines=lines)
+        look: dict[str, Any] = {"color": _COLORS["tracers"], "line_width": 3.0 * thick}
+        plotter.add_mesh(mesh, lighting=False, render=False, **look)
 
 
 def _mesh(body: Trajectory, i: int, field: str | None, stage: Stage) -> pv.PolyData:

@@ -1,7 +1,8 @@
-"""Velocity of the fluid on a grid around the bodies, and streamlines through it."""
+"""Arrays of the fluid on a grid or along a line, and streamlines."""
 
 from __future__ import annotations
 
+import csv
 import os
 import warnings
 from collections.abc import Mapping
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mrs.output.atomic import replacing
 from mrs.output.vtp import write_xml
 
 if TYPE_CHECKING:
@@ -63,13 +65,38 @@ def grid_around(points: ArrayLike, resolution: int, plane: tuple[str, float] | N
     points = np.asarray(points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or not len(points):
         raise ValueError(f"points must have shape (n, 3) with n > 0, got {points.shape}")
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = _ROOM * (high - low).max()
+    if room == 0:
+        raise ValueError("points must not coincide")
+    return grid_over(low - room, high + room, resolution, plane)
+
+
+def grid_over(
+    low: np.ndarray, high: np.ndarray, resolution: int, plane: tuple[str, float] | None = None
+) -> Grid:
+    """Return a grid over a box, which may be flat, centred on it.
+
+    Along the longest side it is the box. Along others it may reach up to a spacing further.
+
+    Parameters
+    ----------
+    low, high : (3,) float ndarray
+        Corners of the box.
+    resolution : int
+        Number of grid points along the longest side, at least 2.
+    plane : (axis, place), optional
+        In place of the whole grid one plane, such as ("z", 0.5).
+
+    Raises
+    ------
+    ValueError
+        If the resolution is less than 2.
+    """
     if resolution < 2:
         raise ValueError(f"resolution must be at least 2, got {resolution}")
-    low, high = points.min(axis=0), points.max(axis=0)
-    size = high - low + 2 * _ROOM * (high - low).max()
+    size = high - low
     spacing = float(size.max()) / (resolution - 1)
-    if spacing == 0:
-        raise ValueError("points must not coincide")
     counts = np.ceil(size / spacing * (1 - 1e-12)).astype(int) + 1
     corner = (low + high - spacing * (counts - 1)) / 2
     if plane is not None:
@@ -129,6 +156,31 @@ def write_grid(
     for name, number in (numbers or {}).items():
         image.field_data[name] = [float(number)]
     write_xml(Path(path), image)
+
+
+def write_line(
+    path: str | os.PathLike[str], points: np.ndarray, arrays: Mapping[str, np.ndarray]
+) -> None:
+    """Write arrays along a line to a .csv file: distance, x, y, z, and a column a component.
+
+    Parameters
+    ----------
+    path : path
+    points : (n, 3) float ndarray
+        Distances are those from the first.
+    arrays : dict of (n,) or (n, 3) float ndarray
+    """
+    columns = {"distance": np.linalg.norm(points - points[0], axis=1)}
+    columns |= dict(zip(AXES, points.T, strict=True))
+    for name, values in arrays.items():
+        if values.ndim == 1:
+            columns[name] = values
+        else:
+            columns |= {f"{name}_{axis}": v for axis, v in zip(AXES, values.T, strict=True)}
+    with replacing(Path(path)) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(np.column_stack(list(columns.values())).tolist())
 
 
 def streamlines(

@@ -86,6 +86,29 @@ class BodyFile(FrameFile):
         Of the format.
     suffix : str
         Of the file, which is called as its body.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> import mrs
+    >>> @mrs.FORMATS.register
+    ... class Heights(mrs.BodyFile):  # a run that goes on needs `times` and `cut` as well
+    ...     name, suffix = "heights", ".txt"
+    ...
+    ...     def cut(self, sim):
+    ...         self.path.touch()
+    ...
+    ...     def write(self, sim):
+    ...         with self.path.open("a") as file:
+    ...             print(sim.time, sim.frame(self.body)[0][0, 2].round(4), file=file)
+    >>> dust = mrs.Tracers([[0.0, 0.0, 1.0]], name="dust")
+    >>> fluid = mrs.Fluid(background=mrs.flows.extension(rate=1.0))
+    >>> output = mrs.Output("outputs/heights", interval=0.5, formats=["heights"])
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> print(Path("outputs/heights/dust.txt").read_text().rstrip())
+    0.0 1.0
+    0.5 0.7788
+    1.0 0.6065
     """
 
     name: str

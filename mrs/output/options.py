@@ -45,6 +45,19 @@ class Output:
     precision : {"float32", "float64"}, optional
         Of forces, velocities and all other arrays in "vtkhdf" files that are begun; positions are
         doubles in any case. A file that a resumed run goes on with keeps its own.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> columns = {"x": lambda sim: sim.state.positions[0, 0]}
+    >>> sim = mrs.Simulation(
+    ...     mrs.Fluid(background=mrs.flows.shear(1.0)),
+    ...     [mrs.Tracers([[0.0, 0.0, 1.0]], name="dust")],
+    ...     output=mrs.Output("outputs/sheared", interval=0.5, columns=columns),
+    ... )
+    >>> sim = sim.run(1.0)
+    >>> print(mrs.open_run("outputs/sheared").log["x"].round(6))
+    [0.  0.5 1. ]
     """
 
     directory: str | Path

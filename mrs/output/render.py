@@ -9,21 +9,23 @@ import sys
 from collections.abc import Iterable
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mrs import check
 from mrs.output import run_directory
 from mrs.output.atomic import replacing
 from mrs.output.camera import Camera, Places, stage_of
 from mrs.output.colors import colors_of
-from mrs.output.drawing import picture
+from mrs.output.drawing import Marks, picture
 from mrs.output.frames import Frames, trajectories
 from mrs.output.stored import stored_boundary
 from mrs.output.trajectory import Trajectory
 
 _FILMS = (".mp4", ".gif")
 _RATE = 24  # pictures a second of a film
+_DPI = 300  # of a picture in print
 
 
 def render(
@@ -32,8 +34,12 @@ def render(
     *,
     frame: int | slice | None = None,
     color_by: str | None = None,
+    color_range: tuple[float, float] | None = None,
     camera: Camera | None = None,
     size: tuple[int, int] = (1280, 800),
+    trails: int = 0,
+    scale_bar: str | None = None,
+    transparent: bool = False,
 ) -> Path:
     """Draw a run: rods as tubes, swimmers as arrows with spheres, tracers as points, a wall.
 
@@ -49,10 +55,19 @@ def render(
     color_by : str, optional
         An array at points or cells; vectors by their length. By default "velocity", if there is
         such an array. Bodies without it have a colour of their own.
+    color_range : (low, high), optional
+        Of the values; by default that of all frames that are drawn, but for a transient.
     camera : (position, focal point, up), optional
         Three points each; by default all frames fit into the picture.
     size : (width, height), optional
-        In pixels.
+        In pixels. A .png is 300 of them an inch in print.
+    trails : int, optional
+        Frames before, through which a line leads to where each tracer is.
+    scale_bar : str, optional
+        A unit of length, which may be empty: draws a bar of a round length. The scale is that of
+        things as far away as the focal point of the camera.
+    transparent : bool, optional
+        Whether a .png has no paper behind the bodies.
 
     Returns
     -------
@@ -66,25 +81,33 @@ def render(
     IndexError
         If there is no such frame.
     ValueError
-        If the suffix does not fit, or no body has the array to colour by.
+        If the suffix does not fit, no body has the array to colour by, or the range of colours is
+        empty.
     RuntimeError
         If the machine has no library to draw with.
     """
     destination = Path(destination)
     wanted = _wanted(frame, destination)
+    check.integer("trails", trails, 0)
+    if color_range is not None and not color_range[0] < color_range[1]:
+        raise ValueError(f"color_range must be a lower and a higher number, got {color_range}")
+    if transparent and destination.suffix != ".png":
+        raise ValueError(f"transparent: only a .png can be, got {destination.name!r}")
     with trajectories(directory) as bodies:
-        frames = _frames(bodies, wanted)
-        colors = colors_of(bodies, frames, color_by)
+        shots = _shots(bodies, wanted, trails)
+        colors = colors_of(bodies, [shot.places for shot in shots], color_by, color_range)
         first = bodies[0]
-        times = [first.times[places[0]] for places in frames]
+        times = [first.times[shot.places[0]] for shot in shots]
         boundaries = [stored_boundary(first.meta, time) for time in times]
-        stage = stage_of(bodies, frames, camera, size, boundaries)
+        seen = {tuple(places): places for shot in shots for places in (*shot.past, shot.places)}
+        stage = stage_of(bodies, list(seen.values()), camera, size, boundaries)
+        marks = Marks(scale_bar, transparent)
         require_opengl()
         destination.parent.mkdir(parents=True, exist_ok=True)
         run_directory.note_made(directory, destination)
         pictures = (
-            picture(bodies, places, colors, stage, boundary)
-            for places, boundary in zip(frames, boundaries, strict=True)
+            picture(bodies, shot.places, colors, stage, boundary, shot.past, marks)
+            for shot, boundary in zip(shots, boundaries, strict=True)
         )
         with replacing(destination) as temporary:
             _write(temporary, pictures)
@@ -129,18 +152,28 @@ def _wanted(frame: int | slice | None, destination: Path) -> int | slice:
     return frame
 
 
-def _frames(bodies: list[Trajectory], wanted: int | slice) -> list[Places]:
+class _Shot(NamedTuple):
+    """A frame that is drawn, and those before it that trails lead through."""
+
+    places: Places
+    past: list[Places]
+
+
+def _shots(bodies: list[Trajectory], wanted: int | slice, trails: int) -> list[_Shot]:
     """Return the frames to draw, of those that all bodies have."""
     common = Frames(bodies)
-    if not common.numbers:
+    place = {number: i for i, number in enumerate(common.numbers)}
+    if not place:
         raise IndexError(f"no frames in {bodies[0].path.parent} yet")
-    if not isinstance(wanted, slice):
-        return [common.places(common.number(wanted))]
-    known = set(common.numbers)
-    chosen = [number for number in range(len(common.times))[wanted] if number in known]
+    if isinstance(wanted, slice):
+        chosen = [number for number in range(len(common.times))[wanted] if number in place]
+    else:
+        chosen = [common.number(wanted)]
     if not chosen:
-        raise IndexError(f"frame: there are {len(common.numbers)} frames, none in {_typed(wanted)}")
-    return [common.places(number) for number in chosen]
+        raise IndexError(f"frame: there are {len(place)} frames, none in {_typed(wanted)}")
+    all_places = [common.places(number) for number in common.numbers]
+    ends = [place[number] for number in chosen]
+    return [_Shot(all_places[end], all_places[max(0, end - trails) : end]) for end in ends]
 
 
 def _typed(frame: int | slice) -> str:
@@ -158,7 +191,8 @@ def _write(destination: Path, pictures: Iterable[np.ndarray]) -> None:
     import imageio.v3 as imageio
 
     content = io.BytesIO()
-    options = {"duration": 1000 / _RATE, "loop": 0} if destination.suffix == ".gif" else {}
+    film = {"duration": 1000 / _RATE, "loop": 0}
+    options = film if destination.suffix == ".gif" else {"dpi": (_DPI, _DPI)}
     with imageio.imopen(content, "w", extension=destination.suffix) as file:
         for picture in pictures:
             file.write(picture, **options)

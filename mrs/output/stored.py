@@ -1,4 +1,4 @@
-"""Velocity of the fluid from stored frames: all that it depends on is in the files of a run."""
+"""Flow of the fluid in stored frames: all that it depends on is in the files of a run."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from mrs.fluid.sheared import carried
 from mrs.output import frames
 from mrs.output.trajectory import Trajectory
 
+QUANTITIES = ("velocity", "vorticity", "pressure")
 _SAMPLE = 200  # targets, and points of each body, that errors are taken at
 _FLOW = ("constant", "gradient", "quadratic")  # the numbers of a QuadraticFlow
 
@@ -92,7 +93,7 @@ def stored_lattices(meta: Mapping[str, Any], times: Iterable[float]) -> np.ndarr
 
 
 class FieldError(NamedTuple):
-    """How far a velocity that was computed from a frame may be off."""
+    """How far values that were computed from a frame may be off."""
 
     sums: float
     """Relative error, K eq. (8.1), of the sums at targets drawn at random."""
@@ -100,11 +101,12 @@ class FieldError(NamedTuple):
     """Likewise, of the rounding to single precision when the frame was stored."""
     at_bodies: float
     """Difference from the velocities stored with the frame: median over points of the bodies, in
-    root mean squares of these velocities; nan if the background is unknown."""
+    root mean squares of these velocities; nan if the background is unknown, and for other values
+    than velocities."""
 
 
 class StoredFrame:
-    """A frame of a run, and the velocity of the fluid in it.
+    """A frame of a run, and the flow of the fluid in it.
 
     Parameters
     ----------
@@ -125,10 +127,10 @@ class StoredFrame:
     tolerance : float
         Of the sums, as in the run.
     unknown : str or None
-        Name of a background that neither the files nor the caller define. Velocities are then the
-        disturbance by the bodies alone.
+        Name of a background that neither the files nor the caller define. All values are then
+        those of the disturbance by the bodies alone.
     unknown_boundary : str or None
-        Name of a boundary that neither defines. There are no velocities then.
+        Name of a boundary that neither defines. There are no values then.
 
     Raises
     ------
@@ -137,7 +139,7 @@ class StoredFrame:
     IndexError
         If there is no such frame; the message names the files without it.
     ValueError
-        If the files lack numbers that the velocity depends on, as files of earlier versions do.
+        If the files lack numbers that the flow depends on, as files of earlier versions do.
     """
 
     def __init__(
@@ -182,32 +184,85 @@ class StoredFrame:
         ValueError
             If the boundary is unknown.
         """
+        return self.values("velocity", targets)
+
+    def vorticity(self, targets: np.ndarray) -> np.ndarray:
+        """Return the curl of the velocity, (M, 3).
+
+        Parameters
+        ----------
+        targets : (M, 3) float ndarray
+            Any points; behind a wall the vorticity is zero.
+
+        Raises
+        ------
+        ValueError
+            If the boundary is unknown, or the background has no vorticity.
+        """
+        return self.values("vorticity", targets)
+
+    def pressure(self, targets: np.ndarray) -> np.ndarray:
+        """Return the pressure of the fluid, (M,).
+
+        That of the bodies vanishes far away, that of the background at the origin.
+
+        Parameters
+        ----------
+        targets : (M, 3) float ndarray
+            Any points.
+
+        Raises
+        ------
+        ValueError
+            If there is a boundary, of whose images no pressure is known, or if the background has
+            no pressure.
+        """
+        return self.values("pressure", targets)
+
+    def values(self, quantity: str, targets: np.ndarray) -> np.ndarray:
+        """Return one of `QUANTITIES`, (M, 3) or (M,)."""
+        self._require(quantity)
+        return self._at(quantity, targets, self._sources, self._sums)
+
+    def _require(self, quantity: str) -> None:
+        """Refuse what is not known of the boundary or the background."""
         if self.unknown_boundary:
             raise ValueError(
                 f"boundary must be given: the run had a {self.unknown_boundary}, which files "
                 "cannot hold"
             )
-        return self._at(targets, self._sources, self._sums)
+        if quantity == "pressure" and not isinstance(self._boundary, FreeSpace | None):
+            raise ValueError(
+                f"pressure is known in free space only, got a run with {self._boundary}: its "
+                "images are given by their velocities"
+            )
+        if self._background is not None and not hasattr(self._background, quantity):
+            raise ValueError(
+                f"background must have a {quantity}, got {type(self._background).__qualname__}"
+            )
 
-    def error(self, targets: np.ndarray, values: np.ndarray) -> FieldError:
-        """Return how far velocities may be off.
+    def error(self, targets: np.ndarray, values: np.ndarray, of: str = "velocity") -> FieldError:
+        """Return how far values may be off.
 
         Parameters
         ----------
         targets : (M, 3) float ndarray
-        values : (M, 3) float ndarray
-            Of `velocity` there.
+        values : (M, 3) or (M,) float ndarray
+            Of `values` there.
+        of : str, optional
+            What they are, of `QUANTITIES`.
         """
         rng = np.random.default_rng(0)
         drawn = _draw(len(targets), rng)
-        exact = self._directly(targets[drawn], self._sources)
+        exact = self._directly(of, targets[drawn], self._sources)
         unrounded = _sources(_perturbed(part, rng) for part in self._parts)
-        other = self._directly(targets[drawn], unrounded)
+        other = self._directly(of, targets[drawn], unrounded)
         scale = np.linalg.norm(exact) or 1.0
+        compared = of == "velocity" and not self.unknown
         return FieldError(
             float(np.linalg.norm(values[drawn] - exact) / scale),
             float(np.linalg.norm(other - exact) / scale),
-            np.nan if self.unknown else self._beside_stored(rng),
+            self._beside_stored(rng) if compared else np.nan,
         )
 
     def _beside_stored(self, rng: np.random.Generator) -> float:
@@ -217,22 +272,29 @@ class StoredFrame:
             drawn = _draw(len(part.points), rng)
             points.append(part.points[drawn].astype(np.float64))
             stored.append(part.velocity[drawn].astype(np.float64))
-        difference = self._directly(np.concatenate(points), self._sources) - np.concatenate(stored)
+        velocity = self._directly("velocity", np.concatenate(points), self._sources)
+        difference = velocity - np.concatenate(stored)
         square = np.mean(np.sum(np.concatenate(stored) ** 2, axis=1))
         return float(np.median(np.linalg.norm(difference, axis=1)) / (np.sqrt(square) or 1.0))
 
-    def _directly(self, targets: np.ndarray, sources: _Sources) -> np.ndarray:
-        return self._at(targets, sources, self._mobility(sources, DIRECT))
+    def _directly(self, quantity: str, targets: np.ndarray, sources: _Sources) -> np.ndarray:
+        return self._at(quantity, targets, sources, self._mobility(sources, DIRECT))
 
-    def _at(self, targets: np.ndarray, sources: _Sources, sums: Mobility) -> np.ndarray:
+    def _at(
+        self, quantity: str, targets: np.ndarray, sources: _Sources, sums: Mobility
+    ) -> np.ndarray:
+        """Return a quantity of the flow of some sources, zero outside of the fluid."""
         targets = check.points("targets", targets)
-        values = np.zeros_like(targets)
         inside = np.ones(len(targets), bool)
         if self._boundary is not None:
             inside[self._boundary.outside(targets)] = False
-        values[inside] = sums.velocity(sources.points, sources.loads, targets[inside])
+        there = targets[inside]
+        flow: np.ndarray = getattr(sums, quantity)(sources.points, sources.loads, there)
         if self._background is not None:
-            values[inside] += self._background.velocity(targets[inside], self.time)
+            more = (self._meta["viscosity"],) if quantity == "pressure" else ()
+            flow += getattr(self._background, quantity)(there, self.time, *more)
+        values = np.zeros((len(targets), *flow.shape[1:]))
+        values[inside] = flow
         return values
 
     def _mobility(self, sources: _Sources, backend: str) -> Mobility:
@@ -277,7 +339,7 @@ def _part(body: Trajectory, i: int) -> _Part:
     missing |= {"viscosity", "tolerance"} - set(body.meta)
     if missing:
         raise ValueError(
-            f"{body.path} lacks {', '.join(sorted(missing))}, on which the velocity of the fluid "
+            f"{body.path} lacks {', '.join(sorted(missing))}, on which the flow of the fluid "
             "depends: files of earlier versions do; run it again, or build the simulation in "
             "Python and take mrs.restart(sim).velocity(points)"
         )

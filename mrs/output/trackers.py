@@ -18,6 +18,19 @@ class Tracker:
     ----------
     when : Interrupt
         When `handle` is called: after every step by default.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Report(mrs.Tracker):
+    ...     when = mrs.Interval(0.5)
+    ...
+    ...     def handle(self, sim):
+    ...         print(f"t = {sim.time:g}, x = {sim.state.positions[0, 0]:.3f}")
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> sim = mrs.Simulation(fluid, [dust], trackers=[Report()]).run(1.0)
+    t = 0.5, x = 0.500
+    t = 1, x = 1.000
     """
 
     when: Interrupt = Steps()

@@ -24,6 +24,14 @@ def size(text: str) -> tuple[int, int]:
     return numbers[0], numbers[1]
 
 
+def interval(text: str) -> tuple[float, float]:
+    """Return a lower and a higher number."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 2 or not -math.inf < numbers[0] < numbers[1] < math.inf:
+        raise argparse.ArgumentTypeError(f"must be a lower and a higher number, got {text!r}")
+    return numbers[0], numbers[1]
+
+
 def frames(text: str) -> int | slice:
     """Return the number of a frame, or a range of them."""
     numbers = _numbers(text, lambda word: int(word) if word else None, ":")
@@ -39,6 +47,22 @@ def plane(text: str) -> tuple[str, float]:
     if axis not in ("x", "y", "z") or len(numbers) != 1:
         raise argparse.ArgumentTypeError(f"must be an axis and a number as in z=0.5, got {text!r}")
     return axis, numbers[0]
+
+
+def point(text: str) -> list[float]:
+    """Return three coordinates."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 3 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be three numbers, got {text!r}")
+    return numbers
+
+
+def ends(text: str) -> tuple[list[float], list[float]]:
+    """Return the two ends of a line, or two opposite corners of a box."""
+    numbers = _numbers(text, float, ",")
+    if len(numbers) != 6 or not all(map(math.isfinite, numbers)):
+        raise argparse.ArgumentTypeError(f"must be six numbers, got {text!r}")
+    return numbers[:3], numbers[3:]
 
 
 def _numbers(text: str, kind: Callable[[str], Any], separator: str) -> list[Any]:

@@ -1,4 +1,4 @@
-"""The command line: run, resume, info, export, render, plot, field, check."""
+"""The command line: new, run, resume, info, export, render, plot, field, check."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from mrs.output.run_directory import tomllib
+from mrs import check
+from mrs.output.stored import QUANTITIES
 from mrs.output.trackers import Tracker
-from mrs.run import argument_types, scenario_files, signals
+from mrs.run import argument_types, making, scenario_files, signals
 from mrs.run.info import info
 from mrs.run.reports import ProfileTable, Progress
 from mrs.run.resuming import resume, scenario_of
-from mrs.run.scenario import Scenario, ScenarioError
+from mrs.run.scenario import Scenario
 from mrs.run.simulation import Simulation
-from mrs.run.velocity import write_field
 from treecode.ranks import ranks_of, world
 from treecode.version import __version__
 
 _EPILOG = """\
 examples:
+  mrs new my_scene.py                              a rod and tracers, to change
   mrs run cilia_array --quick                      a small version, ends within seconds
   mrs run swimmer_suspension --set count=200 --set stroke=puller --output outputs/pullers
   mrs run my_scene.toml --max-walltime 3600        stops in good order after an hour
@@ -33,6 +34,7 @@ examples:
 exit status: 0 done, or stopped by --max-walltime; 1 refused, failed, or the checked number FAILED;
 2 no such command; 128 + its number when stopped by a signal (130 by ctrl-C)
 """
+_FILES = {"bash": "_shtab_compgen_files", "zsh": "_files", "tcsh": "f"}  # as shtab takes it
 _READER_GONE = 141  # as shells report a program that SIGPIPE ends
 # Errors told in one line. Other errors are the program's own, and their tracebacks are wanted.
 _TOLD = (
@@ -58,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     ranks = ranks_of(comm)
     if ranks.rank:
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: PTH123, SIM115
-    options = _parser().parse_args(arguments)
+    options = _parsed(arguments)
     options.comm = comm
     idle = ranks.rank and options.action not in (_run, _resume, _check)
     try:
@@ -105,7 +107,18 @@ def _in_users_file(error: Exception) -> bool:
     return any(module.startswith(scenario_files.FILE_PREFIX) for module in modules)
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parsed(arguments: list[str] | None) -> argparse.Namespace:
+    """Return the options; leave with status 2 if there is no such one, and name the nearest."""
+    options, unknown = parser().parse_known_args(arguments)
+    if unknown:
+        names = [word for flags in _COMMANDS[options.command][2] for word in flags.split()]
+        near = check.nearest(unknown[0].partition("=")[0], names)
+        options.parser.error(f"unrecognized arguments: {' '.join(unknown)}{near}")
+    return options
+
+
+def parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line; shtab makes completions of a shell from it."""
     parser = argparse.ArgumentParser(
         prog="mrs",
         description="Elastic rods and swimmers in very viscous fluid, by regularized Stokeslets.",
@@ -113,12 +126,14 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {__version__}")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND", dest="command")
     for name, (action, text, arguments) in _COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text.capitalize() + ".")
-        command.set_defaults(action=action)
+        command.set_defaults(action=action, parser=command)
         for flags, settings in arguments.items():
-            command.add_argument(*flags.split(), **settings)
+            argument: Any = command.add_argument(*flags.split(), **settings)
+            if settings.get("type") is Path or flags == "scene":
+                argument.complete = _FILES
     return parser
 
 
@@ -128,7 +143,7 @@ def _run(options: argparse.Namespace) -> int:
     if Path(name).suffix.lower() == ".toml":
         name, values = scenario_files.read_input(name)
     for item in options.set:
-        _assign(values, item)
+        scenario_files.assign(values, item)
     scene = scenario_files.make(name, values, quick=options.quick)
     if options.options:
         _print_options(scene)
@@ -150,22 +165,6 @@ def _run(options: argparse.Namespace) -> int:
 
 def _trackers(options: argparse.Namespace) -> list[Tracker]:
     return [Progress(), ProfileTable()] if options.profile else [Progress()]
-
-
-def _assign(values: dict[str, Any], item: str) -> None:
-    """Put "a.b=value" into nested dictionaries; a value is read as TOML, else it is text."""
-    path, separator, text = item.partition("=")
-    if not separator:
-        raise ScenarioError(f"--set: {item!r} must be KEY=VALUE")
-    *groups, last = path.strip().split(".")
-    for group in groups:
-        values = values.setdefault(group, {})
-        if not isinstance(values, dict):
-            raise ScenarioError(f"--set: {item!r}, but {group!r} has a value already")
-    try:
-        values[last] = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        values[last] = text.strip()
 
 
 def _print_options(scene: Scenario) -> None:
@@ -235,50 +234,6 @@ def _check(options: argparse.Namespace) -> int:
     return 0 if passed else 1
 
 
-def _export(options: argparse.Namespace) -> None:
-    from mrs.output.export import export
-
-    files = export(options.directory, options.format, options.output)
-    print(f"{len(files)} files in {files[0].parent}")
-
-
-def _render(options: argparse.Namespace) -> None:
-    from mrs.output.render import render
-
-    destination = options.output or options.directory / "picture.png"
-    camera = (
-        None if options.camera is None else [tuple(options.camera[i : i + 3]) for i in (0, 3, 6)]
-    )
-    render(
-        options.directory,
-        destination,
-        frame=options.frame,
-        color_by=options.color_by,
-        camera=camera,
-        size=options.size,
-    )
-    print(destination)
-
-
-def _plot(options: argparse.Namespace) -> None:
-    from mrs.output.plot import COLUMNS, plot
-
-    destination = options.output or options.directory / "log.png"
-    print(plot(options.directory, destination, options.columns or COLUMNS))
-
-
-def _field(options: argparse.Namespace) -> None:
-    found = write_field(
-        options.directory, options.frame, options.resolution, options.output, options.plane
-    )
-    print(*found.paths, sep="\n")
-    print(
-        f"t = {found.time:g}; relative error of the velocity: {found.error.sums:.1e} by sums, "
-        f"{found.error.rounding:.1e} by stored single precision; "
-        f"{found.error.at_bodies:.1e} beside the velocities stored with the frame"
-    )
-
-
 _DIRECTORY = {"directory": {"type": Path, "help": "run directory"}}
 _GOING: dict[str, dict[str, Any]] = {
     "--max-walltime": {
@@ -291,6 +246,11 @@ _GOING: dict[str, dict[str, Any]] = {
 
 # name: (action, help, arguments as argparse takes them)
 _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
+    "new": (
+        making.new,
+        "write a scene to begin with, as a Python file",
+        {"file": {"type": Path, "metavar": "FILE.py"}},
+    ),
     "run": (
         _run,
         "begin a run",
@@ -354,7 +314,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "export": (
-        _export,
+        making.export,
         "convert frames for other programs",
         {
             **_DIRECTORY,
@@ -366,7 +326,7 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "render": (
-        _render,
+        making.render,
         "draw a picture (.png) or a film (.mp4, .gif)",
         {
             **_DIRECTORY,
@@ -385,6 +345,11 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "FIELD",
                 "help": "a field at points or rods, such as velocity or tension",
             },
+            "--color-range": {
+                "type": argument_types.interval,
+                "metavar": "LOW,HIGH",
+                "help": "values of the first and the last colour (default of all frames drawn)",
+            },
             "--camera": {
                 "type": argument_types.camera,
                 "metavar": "X,Y,Z,...",
@@ -394,12 +359,25 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "type": argument_types.size,
                 "default": (1280, 800),
                 "metavar": "W,H",
-                "help": "in pixels (default 1280,800)",
+                "help": "in pixels (default 1280,800); a .png has 300 an inch",
             },
+            "--trails": {
+                "type": int,
+                "default": 0,
+                "metavar": "N",
+                "help": "lines through the places of tracers in the N frames before",
+            },
+            "--scale-bar": {
+                "nargs": "?",
+                "const": "",
+                "metavar": "UNIT",
+                "help": "draw a bar of a round length, with the unit of length",
+            },
+            "--transparent": {"action": "store_true", "help": "no paper behind a .png"},
         },
     ),
     "plot": (
-        _plot,
+        making.plot,
         "draw columns of the log over time",
         {
             **_DIRECTORY,
@@ -416,8 +394,8 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
         },
     ),
     "field": (
-        _field,
-        "velocity on a grid around the bodies, and streamlines",
+        making.field,
+        "velocity on a grid or along a line, and streamlines",
         {
             **_DIRECTORY,
             "--frame": {
@@ -430,10 +408,35 @@ _COMMANDS: dict[str, tuple[Any, str, dict[str, dict[str, Any]]]] = {
                 "metavar": "AXIS=PLACE",
                 "help": "a plane such as z=0.5 in place of a box, without streamlines",
             },
+            "--box": {
+                "type": argument_types.ends,
+                "metavar": "X,Y,Z,X,Y,Z",
+                "help": "two opposite corners of the grid, as in --box=-1,-1,0,1,1,2 (default "
+                "around the bodies)",
+            },
+            "--line": {
+                "type": argument_types.ends,
+                "metavar": "X,Y,Z,X,Y,Z",
+                "help": "two ends of a line, in place of a grid: writes line.csv",
+            },
+            "--seed": {
+                "action": "append",
+                "dest": "seeds",
+                "type": argument_types.point,
+                "metavar": "X,Y,Z",
+                "help": "a point that a streamline goes through; may be given again (default a "
+                "regular pattern)",
+            },
+            "--also": {
+                "nargs": "+",
+                "default": [],
+                "choices": QUANTITIES[1:],
+                "help": "further arrays: vorticity, and in free space pressure",
+            },
             "--resolution": {
                 "type": int,
                 "default": 40,
-                "help": "grid points along the longest side (default %(default)s)",
+                "help": "points along the longest side, or the line (default %(default)s)",
             },
             "--output": {"type": Path, "metavar": "DIR", "help": "default DIRECTORY"},
         },

@@ -17,7 +17,19 @@ if TYPE_CHECKING:
 
 
 class SimulationError(RuntimeError):
-    """A run that cannot go on; the message says where and why."""
+    """A run that cannot go on; the message says where and why.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> burst = mrs.flows.UserFlow(lambda points, time: [1.0 if time < 0.5 else np.nan, 0, 0])
+    >>> sim = mrs.Simulation(mrs.Fluid(background=burst), [mrs.Tracers([[0, 0, 0]])])
+    >>> sim.run(1.0)
+    Traceback (most recent call last):
+        ...
+    mrs.run.failures.SimulationError: at time 0.5: background velocity must ...
+    """
 
 
 def require_whole_files(sim: Simulation, directory: Path, renew_files: bool) -> None:

@@ -33,6 +33,16 @@ def info(directory: str | os.PathLike[str]) -> dict[str, Any]:
     ------
     FileNotFoundError
         If there is no run in the directory.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> output = mrs.Output("outputs/sheared", interval=0.5)
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> found = mrs.info("outputs/sheared")
+    >>> found["time"], found["finished"], found["files"]["tracers.vtkhdf"]["frames"]
+    (1.0, True, 3)
     """
     directory = Path(directory)
     content = run_directory.read(directory)

@@ -13,9 +13,10 @@ from mrs import check
 from mrs.output import run_directory
 from mrs.output.frames import Frames, trajectories, trajectory_paths
 from mrs.output.log_table import LogTable
+from mrs.output.stored import StoredFrame
 from mrs.output.stored_body import StoredBody
 from mrs.run.info import info
-from mrs.run.velocity import frame_velocity
+from mrs.run.velocity import stored_frame
 from treecode.shown import Shown
 
 if TYPE_CHECKING:
@@ -56,6 +57,21 @@ class Run(Shown):
     Files are opened for each reading, and no reader stops a run. If the frames are no longer in
     a file, because the run was begun anew or goes on from an earlier time, reading them raises an
     error until `refresh` is called.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> sim = mrs.Simulation(
+    ...     mrs.Fluid(background=mrs.flows.shear(1.0)),
+    ...     [mrs.Tracers([[0.0, 0.0, 1.0]], name="dust")],
+    ...     output=mrs.Output("outputs/sheared", interval=0.5),
+    ... )
+    >>> sim = sim.run(1.0)
+    >>> run = mrs.open_run("outputs/sheared")
+    >>> run.bodies, run.times.tolist()
+    (('dust',), [0.0, 0.5, 1.0])
+    >>> print(run["dust"].positions[:, 0, 0].round(6))  # x of the first tracer in all frames
+    [0.  0.5 1. ]
     """
 
     def __init__(self, directory: str | os.PathLike[str]) -> None:
@@ -123,8 +139,45 @@ class Run(Shown):
             As for `mrs.frame_velocity`, which takes a background or a boundary that files cannot
             hold.
         """
-        number = self._numbers[self._index(frame)]
-        return frame_velocity(self, number)[1](check.points("points", points))
+        return self._stored(frame).velocity(check.points("points", points))
+
+    def vorticity(self, points: ArrayLike, frame: int = -1) -> np.ndarray:
+        """Return the curl of the velocity in a frame, (N, 3); zero behind a wall.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        frame : int, optional
+            Index in `times`; the last by default.
+
+        Raises
+        ------
+        IndexError, ValueError
+            As for `velocity`, and if the background has no vorticity.
+        """
+        return self._stored(frame).vorticity(check.points("points", points))
+
+    def pressure(self, points: ArrayLike, frame: int = -1) -> np.ndarray:
+        """Return the pressure of the fluid in a frame, (N,), in free space.
+
+        That of the bodies vanishes far away, that of the background at the origin.
+
+        Parameters
+        ----------
+        points : (N, 3) array_like
+        frame : int, optional
+            Index in `times`; the last by default.
+
+        Raises
+        ------
+        IndexError, ValueError
+            As for `velocity`, and if the run has a wall or a periodic box, or if the background
+            has no pressure.
+        """
+        return self._stored(frame).pressure(check.points("points", points))
+
+    def _stored(self, frame: int) -> StoredFrame:
+        return stored_frame(self, self._numbers[self._index(frame)])
 
     def mesh(self, frame: int = -1) -> pv.MultiBlock:
         """Return a frame of all bodies, with all arrays, as pyvista has it.
@@ -186,5 +239,14 @@ def open_run(directory: str | os.PathLike[str]) -> Run:
         If the directory holds no run.
     DamagedError
         If a trajectory is damaged; the message names a remedy.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> output = mrs.Output("outputs/sheared", interval=0.5)
+    >>> sim = mrs.Simulation(fluid, [dust], output=output).run(1.0)
+    >>> mrs.open_run("outputs/sheared").times.tolist()
+    [0.0, 0.5, 1.0]
     """
     return Run(directory)

@@ -68,6 +68,15 @@ def resume(
     ScenarioError
         If the run was made by a script and not from a scenario: build the same simulation there,
         and go on with ``restart(sim).run(t_end)``.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> from mrs.scenarios.fibre_in_shear import FibreInShear
+    >>> fibre = FibreInShear(nodes=11, tracers=10)
+    >>> stopped = fibre.simulation("outputs/fibre").run(0.1)
+    >>> mrs.resume("outputs/fibre", t_end=0.2).time
+    0.2
     """
     sim = restart(scenario_of(directory).simulation(Path(directory), comm=comm), changes=changes)
     sim.trackers.extend(trackers)
@@ -92,6 +101,18 @@ def restart(sim: Simulation, *, changes: bool = False) -> Simulation:
         If there is no checkpoint.
     ValueError
         If `sim` has no output directory, or is another scene; see `Simulation.restore`.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> def scene():
+    ...     fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    ...     output = mrs.Output("outputs/sheared", interval=0.5)
+    ...     return mrs.Simulation(fluid, [dust], output=output)
+    >>> stopped = scene().run(1.0)
+    >>> sim = mrs.restart(scene()).run(2.0)  # perhaps in another process
+    >>> mrs.open_run("outputs/sheared").times.tolist()
+    [0.0, 0.5, 1.0, 1.5, 2.0]
     """
     if sim.output is None:
         raise ValueError("sim must have an output directory to go on from")

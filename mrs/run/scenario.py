@@ -22,11 +22,30 @@ PACKAGE = "mrs.scenarios"  # those that come with the project: found by name, no
 
 
 class ScenarioError(ValueError):
-    """An unknown scenario, an unknown option, or a value that an option does not take."""
+    """An unknown scenario, an unknown option, or a value that an option does not take.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> mrs.Scenario(intervall=0.1)
+    Traceback (most recent call last):
+        ...
+    mrs.run.scenario.ScenarioError: intervall: no such option; did you mean 'interval'?
+    """
 
 
 class Check(NamedTuple):
-    """One number that a run must give."""
+    """One number that a run must give.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> check = mrs.Check("drag over Stokes's", 1.007, expected=1.0, tolerance=0.01)
+    >>> check.passed
+    True
+    >>> print(check)
+    drag over Stokes's: 1.007, expected 1 to 0.01 (relative): ok
+    """
 
     name: str
     value: float
@@ -68,6 +87,20 @@ class Scenario(BaseModel):
     ------
     ScenarioError
         The message names each option, its value and the allowed values, or the nearest option.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Fall(mrs.Scenario):
+    ...     weight: float = 1.0
+    ...
+    ...     def build(self, **common):
+    ...         ball = mrs.Rigid(mrs.surfaces.sphere(1.0, count=50), force=(0, 0, -self.weight))
+    ...         return mrs.Simulation(mrs.Fluid(), [ball], **common)
+    >>> fall = Fall(weight=18.85, t_end=0.5)
+    >>> sim = fall.simulation().run(fall.t_end)
+    >>> print(round(sim.state.positions[0, 2], 1))
+    -0.5
     """
 
     model_config = ConfigDict(extra="forbid", validate_default=True, allow_inf_nan=False)

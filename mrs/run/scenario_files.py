@@ -67,6 +67,28 @@ def make(name: str, options: dict[str, Any], *, quick: bool = False) -> Scenario
     return scenario(**(scenario.quick if quick else {}) | options)
 
 
+def assign(options: dict[str, Any], item: str) -> None:
+    """Put "a.b=value" into nested tables of options; a value is read as TOML, else it is text.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not of this form, or a table is asked for where there is a value.
+    """
+    path, separator, text = item.partition("=")
+    if not separator:
+        raise ScenarioError(f"--set: {item!r} must be KEY=VALUE")
+    *groups, last = path.strip().split(".")
+    for group in groups:
+        options = options.setdefault(group, {})
+        if not isinstance(options, dict):
+            raise ScenarioError(f"--set: {item!r}, but {group!r} has a value already")
+    try:
+        options[last] = run_directory.tomllib.loads(f"value = {text}")["value"]
+    except run_directory.tomllib.TOMLDecodeError:
+        options[last] = text.strip()
+
+
 def load_plugins(options: dict[str, Any]) -> None:
     """Import the files that the option `plugins` names: they register what they define.
 

@@ -50,8 +50,7 @@ class Simulation(Shown):
     bodies : sequence of Body
         `Rods`, `Swimmers`, `Tracers`, in any number; their names must differ.
     forces : sequence of Force, optional
-        On the points of bodies that put forces on the fluid: `Steric`, `Gravity`, `Springs`,
-        `UserForce`.
+        Besides those of the bodies: `Steric`, `Gravity`, `Springs`, `UserForce`, your own.
     backend : str or Backend, optional
         How velocities are summed.
     integrator : str or Integrator, optional
@@ -64,7 +63,7 @@ class Simulation(Shown):
         Scenario and options, kept in config.toml, from which `mrs.resume` builds it again.
     comm : mpi4py.MPI.Comm, optional
         Ranks of MPI that share the sums. All of them build the same simulation and make the same
-        calls; files are written, and trackers called, by rank 0. See docs/mpi.md.
+        calls; rank 0 writes files and calls trackers. See docs/mpi.md.
 
     Attributes
     ----------
@@ -81,6 +80,14 @@ class Simulation(Shown):
     ------
     ValueError, TypeError
         The message names the argument and the allowed values.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> sim = mrs.Simulation(mrs.Fluid(viscosity=1.0), [pusher]).run(1.0)
+    >>> print(sim.state.positions.round(3))  # its speed is (1/0.1 - 1/sqrt(1.01)) / (4 pi)
+    [[0.    0.    0.717]]
     """
 
     def __init__(
@@ -240,8 +247,7 @@ class Simulation(Shown):
 
         Notes
         -----
-        Another backend chooses anew how to sum, another integrator begins with a new step size,
-        and after a change of the physics both do.
+        Another backend chooses its sums anew, another integrator its step size, other physics both.
         """
         found = differences(values["scene"], self.description)
         physics = [d for d in found if d.place.partition(".")[0] not in _NUMERICS]
@@ -322,8 +328,7 @@ class Simulation(Shown):
         ----------
         t_end : float
         max_walltime : float, optional
-            Seconds after which the run stops in good order, before `t_end`; at least one step is
-            taken.
+            Seconds after which the run stops in good order, before `t_end`, after a step or more.
         renew_files : bool, optional
             For a resumed run: begin a new file in place of each that is missing, cut short or of
             another scene, instead of refusing to go on. The old files are kept beside the new.
@@ -336,15 +341,13 @@ class Simulation(Shown):
         Raises
         ------
         SimulationError
-            If the state, or the result of a user's function, would not be finite; the last good
-            state is in the checkpoint. If a file of a resumed run is missing or damaged; nothing is
-            changed then.
+            If the state, or a user's function, would not be finite: the last good state is in the
+            checkpoint. If a file of a resumed run is missing or damaged: nothing is changed.
         FileExistsError
             If the directory holds a run, or a file of a name that the run would write.
         KeyboardInterrupt
-            After ctrl-C, or a signal that would end the process (SIGTERM, SIGHUP, SIGUSR1, SIGUSR2,
-            SIGXCPU), with a checkpoint written, which further signals do not interrupt. A script
-            goes on with ``mrs.restart(sim).run(t_end)``.
+            After ctrl-C, or another signal that ends runs (docs/running.md), with a checkpoint. A
+            script goes on with ``mrs.restart(sim).run(t_end)``.
         """
         self.t_end = check.number("t_end", t_end, 0.0, 1e300)
         if t_end < self.time:

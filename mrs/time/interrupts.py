@@ -20,7 +20,17 @@ _ROUNDING = 1e-9
 
 
 class Moment(NamedTuple):
-    """How far a run is."""
+    """How far a run is.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> dust = mrs.Tracers([[0.0, 0.0, 1.0]])
+    >>> fluid, step = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Integrator("euler", dt=0.25)
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=step).run(1.0)
+    >>> sim.moment.time, sim.moment.steps
+    (1.0, 4)
+    """
 
     time: float
     """Simulated time."""
@@ -31,7 +41,26 @@ class Moment(NamedTuple):
 
 
 class Interrupt:
-    """A condition when something happens; it is asked after every step."""
+    """A condition when something happens; it is asked after every step.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Far(mrs.Interrupt):
+    ...     def due(self, before, sim):
+    ...         return sim.state.positions[0, 0] > 2.0
+    >>> class Report(mrs.Tracker):
+    ...     when = Far()
+    ...
+    ...     def handle(self, sim):
+    ...         print(f"x = {sim.state.positions[0, 0]:.2f}")
+    >>> dust = mrs.Tracers([[1.0, 0.0, 0.0]])
+    >>> fluid = mrs.Fluid(background=mrs.flows.extension(rate=1.0))
+    >>> step = mrs.Integrator("rk4", dt=0.25)
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=step, trackers=[Report()]).run(1.0)
+    x = 2.12
+    x = 2.72
+    """
 
     def next_time(self, time: float) -> float:
         """Return the next simulated time that a step must not pass; infinite by default."""
@@ -49,6 +78,13 @@ class Interval(Interrupt):
     Parameters
     ----------
     interval : float
+
+    Examples
+    --------
+    >>> import mrs
+    >>> every = mrs.Interval(0.25)
+    >>> every.next_time(0.6), every.count(0.6)
+    (0.75, 2)
     """
 
     interval: float
@@ -81,6 +117,20 @@ class Steps(Interrupt):
     Parameters
     ----------
     count : int, optional
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Report(mrs.Tracker):
+    ...     when = mrs.Steps(2)
+    ...
+    ...     def handle(self, sim):
+    ...         print(f"t = {sim.time:g}")
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> step = mrs.Integrator("euler", dt=0.25)
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=step, trackers=[Report()]).run(1.0)
+    t = 0.5
+    t = 1
     """
 
     count: int = 1
@@ -101,6 +151,18 @@ class WallTime(Interrupt):
     ----------
     seconds : float
         0 is after every step.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Watch(mrs.Tracker):
+    ...     when = mrs.WallTime(3600.0)  # each hour
+    ...
+    ...     def handle(self, sim):
+    ...         print(f"t = {sim.time:g}")  # at the end in any case
+    >>> fluid, dust = mrs.Fluid(background=mrs.flows.shear(1.0)), mrs.Tracers([[0, 0, 1]])
+    >>> sim = mrs.Simulation(fluid, [dust], trackers=[Watch()]).run(1.0)
+    t = 1
     """
 
     seconds: float
@@ -116,7 +178,21 @@ class WallTime(Interrupt):
 
 
 class Never(Interrupt):
-    """Only at the end of the run."""
+    """Only at the end of the run.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> class Last(mrs.Tracker):
+    ...     when = mrs.Never()
+    ...
+    ...     def handle(self, sim):
+    ...         print(f"the end, t = {sim.time:g}")
+    >>> dust = mrs.Tracers([[0.0, 0.0, 1.0]])
+    >>> sim = mrs.Simulation(mrs.Fluid(background=mrs.flows.shear(1.0)), [dust], trackers=[Last()])
+    >>> sim = sim.run(2.0)
+    the end, t = 2
+    """
 
     def due(self, before: Moment, sim: Simulation) -> bool:
         """Return False."""

@@ -23,7 +23,17 @@ def below(arrays: Arrays, prefix: str) -> Arrays:
 
 
 class State(NamedTuple):
-    """Positions, (P, 3), and quaternions, (Q, 4), of all bodies one after the other."""
+    """Positions, (P, 3), and quaternions, (Q, 4), of all bodies one after the other.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> pusher = mrs.Swimmers([[0, 0, 0]], [[0, 0, 1]], length=1.0, force=1.0, epsilon=0.1)
+    >>> state = mrs.Simulation(mrs.Fluid(), [pusher]).state
+    >>> turned = state.moved([[0, 0, 0], [3.14159265, 0, 0]])  # a place, and a rotation vector
+    >>> print(pusher.orientations(turned.quaternions).round(6) + 0.0)
+    [[ 0.  0. -1.]]
+    """
 
     positions: np.ndarray
     quaternions: np.ndarray

@@ -61,6 +61,16 @@ class Integrator:
         Error of one step allowed with "auto": of positions relative to the length of their body,
         of points in a scene without any length relative to their way in the step, of triads in
         radians.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> rotation = mrs.flows.QuadraticFlow(gradient=[[0, -1, 0], [1, 0, 0], [0, 0, 0]])
+    >>> fluid, dust = mrs.Fluid(background=rotation), mrs.Tracers([[1.0, 0.0, 0.0]])
+    >>> sim = mrs.Simulation(fluid, [dust], integrator=mrs.Integrator("rk4", dt=0.1))
+    >>> print(sim.run(np.pi / 4).state.positions.round(4))
+    [[0.7071 0.7071 0.    ]]
     """
 
     __pydantic_config__: ClassVar[dict[str, str]] = {"extra": "forbid"}

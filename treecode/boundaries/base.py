@@ -26,6 +26,14 @@ class Term(NamedTuple):
     values : callable, optional
         Of points, (M, 3), and the values of this term there: returns its part of the flow,
         (M, value_size) of the kernel of free space.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> kernel = tc.RegularizedStokeslet(epsilon=0.1)
+    >>> image = tc.Term(kernel, sources=lambda points: points * [1, 1, -1])  # as behind a mirror
+    >>> image.alone, tc.Term(kernel).alone
+    (False, True)
     """
 
     kernel: Kernel
@@ -71,6 +79,20 @@ class Boundary:
 
     A subclass returns in `terms` the sums that replace the one in free space. Methods of
     summation, tolerances and samples of errors need no code for it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import treecode as tc
+    >>> class SlipWall(tc.Boundary):  # at z = 0: each force has a mirror image
+    ...     def terms(self, kernel):
+    ...         mirror = np.array([1.0, 1.0, -1.0])
+    ...         image = tc.Term(kernel, lambda x: x * mirror, lambda x, forces: forces * mirror)
+    ...         return tc.Term(kernel), image
+    >>> kernel, targets = tc.RegularizedStokeslet(epsilon=0.1), [[0.5, 0.0, 0.0]]
+    >>> points, forces = [[0.0, 0.0, 1.0]], [[1.0, 0.0, 1.0]]
+    >>> print(tc.evaluate(kernel, points, forces, targets, boundary=SlipWall()).round(4))
+    [[0.0574 0.     0.    ]]
     """
 
     def terms(self, kernel: Kernel) -> Sequence[Term]:
@@ -117,7 +139,16 @@ class Boundary:
 
 
 class FreeSpace(Boundary):
-    """No boundary: the fluid is everywhere."""
+    """No boundary: the fluid is everywhere.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> kernel, points, forces = tc.RegularizedStokeslet(epsilon=0.1), [[0, 0, 0]], [[1, 0, 0]]
+    >>> u = tc.evaluate(kernel, points, forces, boundary=tc.FreeSpace())
+    >>> print(u.round(4))  # 1 / (4 pi epsilon)
+    [[0.7958 0.     0.    ]]
+    """
 
     def terms(self, kernel: Kernel) -> Sequence[Term]:
         """Return the sum itself."""

@@ -40,6 +40,18 @@ class Periodic(Boundary):
     ------
     ValueError, TypeError
         If a length is not positive, or the vectors span no volume.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import treecode as tc
+    >>> kernel, force = tc.RegularizedStokeslet(epsilon=0.01), [[0.0, 0.0, 1.0]]
+    >>> alone = tc.evaluate(kernel, [[0.0, 0.0, 0.0]], force)
+    >>> lattice = tc.evaluate(
+    ...     kernel, [[0.0, 0.0, 0.0]], force, boundary=tc.Periodic((1.0, 1.0, 1.0)), tol=1e-8
+    ... )
+    >>> print((6.0 * np.pi * (alone - lattice)[0, 2]).round(3))  # Hasimoto's 2.837
+    2.837
     """
 
     kind: ClassVar[str] = "periodic"

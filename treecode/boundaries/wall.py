@@ -44,12 +44,11 @@ class Wall(Boundary):
 
     Examples
     --------
-    >>> import numpy as np, treecode as tc
-    >>> kernel = tc.RegularizedStokeslet(epsilon=0.01)
-    >>> points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    >>> forces = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    >>> float(tc.evaluate(kernel, points, forces, boundary=tc.Wall())[1, 0])
-    0.0
+    >>> import treecode as tc
+    >>> kernel, targets = tc.RegularizedStokeslet(epsilon=0.01), [[0, 0, 1], [0.5, 0, 0]]
+    >>> u = tc.evaluate(kernel, [[0, 0, 1]], [[1, 0, 0]], targets, boundary=tc.Wall())
+    >>> print(u[:, 0].round(3) + 0.0)  # 1 / (4 pi epsilon) - 3 / (32 pi); 0 at the wall
+    [7.928 0.   ]
     """
 
     kind: ClassVar[str] = "wall"

@@ -40,6 +40,27 @@ class Kernel(Protocol):
         Equal for components of one unit, whose errors are measured together: with lengths L times
         larger component i is ``L**value_lengths[i]`` times smaller, beside the others.
         (1, 1, 1, 2, 2, 2) for velocities and angular velocities.
+
+    Examples
+    --------
+    >>> from typing import NamedTuple
+    >>> import treecode as tc
+    >>> class Source(NamedTuple):  # the velocity of a source of fluid, 1/(4 pi r^2)
+    ...     strength_size = weight_size = 1
+    ...     value_size, value_lengths = 3, (2, 2, 2)
+    ...
+    ...     def weights(self, q):
+    ...         return (q[0] / 12.566370614359172,)
+    ...
+    ...     def pair(self, dx, dy, dz, w, acc):
+    ...         square = dx**2 + dy**2 + dz**2
+    ...         apart = square > 0.0
+    ...         f = tc.where(apart, w[0] * tc.inverse_sqrt(tc.where(apart, square, 1.0)) ** 3, 0.0)
+    ...         return acc[0] + f * dx, acc[1] + f * dy, acc[2] + f * dz
+    >>> source = Source()
+    >>> u = source.pair(0.0, 0.0, 2.0, source.weights((16.0,)), (0.0, 0.0, 0.0))
+    >>> round(u[2], 6)  # 1 / pi
+    0.31831
     """
 
     strength_size: int

@@ -27,6 +27,13 @@ class PeriodicKernel(NamedTuple):
         The kernel in free space.
     cell : tuple of three tuples of three floats
         The rows are the lattice vectors. Two of them, across z, are those of a slab.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> free = tc.RegularizedStokeslet(epsilon=0.1)
+    >>> tc.Periodic((1.0, 1.0, 1.0)).bounded(free).is_slab
+    False
     """
 
     free: Any

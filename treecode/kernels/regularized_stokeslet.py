@@ -29,6 +29,13 @@ class RegularizedStokeslet(Blob):
     ------
     ValueError, TypeError
         If a parameter is not a number between 1e-60 and 1e60.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> kernel = tc.RegularizedStokeslet(epsilon=0.1, viscosity=1.0)
+    >>> print(tc.evaluate(kernel, [[0, 0, 0]], [[1, 0, 0]]).round(4))  # 1 / (4 pi epsilon)
+    [[0.7958 0.     0.    ]]
     """
 
     __slots__ = ()

@@ -33,6 +33,13 @@ class RegularizedStokesletRotlet(Blob):
     ------
     ValueError, TypeError
         If a parameter is not a number between 1e-60 and 1e60.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> kernel, torque = tc.RegularizedStokesletRotlet(epsilon=0.5), [[0, 0, 0, 0, 0, 1]]
+    >>> print(tc.evaluate(kernel, [[0, 0, 0]], torque).round(4) + 0.0)  # 5 / (16 pi epsilon^3)
+    [[0.     0.     0.     0.     0.     0.7958]]
     """
 
     __slots__ = ()

@@ -19,6 +19,14 @@ class Stokeslet(_Parameters):
     Multiply by 1/(8 pi mu) for a velocity in a fluid of viscosity mu.
 
     Strengths are (N, 3) forces, values are (N, 3).
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> u = tc.evaluate(tc.Stokeslet(), [[0, 0, 0]], [[1, 0, 0]], targets=[[2, 0, 0], [0, 2, 0]])
+    >>> print(u)  # 2 / r along the force, 1 / r across
+    [[1.  0.  0. ]
+     [0.5 0.  0. ]]
     """
 
     __slots__ = ()

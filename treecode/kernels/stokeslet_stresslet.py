@@ -19,6 +19,13 @@ class StokesletStresslet(_Parameters):
     coincident points contribute nothing. For forces alone `Stokeslet` is cheaper.
 
     Strengths are (N, 9): force f, dipole weight h, unit normal nu. Values are (N, 3).
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> strengths = [[0, 0, 0, 1, 0, 0, 1, 0, 0]]  # no force, h = nu = (1, 0, 0)
+    >>> print(tc.evaluate(tc.StokesletStresslet(), [[0, 0, 0]], strengths, targets=[[2, 0, 0]]))
+    [[0.25 0.   0.  ]]
     """
 
     __slots__ = ()

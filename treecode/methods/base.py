@@ -188,6 +188,19 @@ class Method:
         Attributes that a kernel must have; the members of `treecode.Kernel` by default.
     any_kernel : bool
         Whether every kernel with these members is taken; if not, `Sum.set_points` refuses some.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> class Exact(tc.Method):
+    ...     name = "exact"
+    ...
+    ...     def make(self, kernel, parameters, progress=False):
+    ...         return tc.EXACT.sum(kernel, progress)
+    >>> tc.methods.register(Exact())
+    >>> kernel, points, forces = tc.RegularizedStokeslet(epsilon=0.1), [[0, 0, 0]], [[1, 0, 0]]
+    >>> print(tc.evaluate(kernel, points, forces, backend="exact").round(4))
+    [[0.7958 0.     0.    ]]
     """
 
     name: ClassVar[str]

@@ -30,6 +30,18 @@ def register(method: Method) -> None:
         If it is not a `Method`, or has no name.
     ValueError
         If another class has the name.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> class Exact(tc.Method):
+    ...     name = "exact"
+    ...
+    ...     def make(self, kernel, parameters, progress=False):
+    ...         return tc.EXACT.sum(kernel, progress)
+    >>> tc.methods.register(Exact())
+    >>> "exact" in tc.backends()
+    True
     """
     if not isinstance(method, Method) or not isinstance(getattr(method, "name", None), str):
         raise TypeError(f"method must be an instance of a treecode.Method, got {method!r}")
@@ -43,17 +55,50 @@ def register(method: Method) -> None:
 
 
 def names() -> tuple[str, ...]:
-    """Return the names of all methods, in the order in which they were registered."""
+    """Return the names of all methods, in the order in which they were registered.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.methods.names()[:2]
+    ('direct', 'kitc')
+    """
     return tuple(_methods)
 
 
+def backends() -> tuple[str, ...]:
+    """Return all that `backend` of a plan may be: "auto", and the names of the methods.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> {"auto", "direct", "kitc", "taylor", "fmm", "ewald"} <= set(tc.backends())
+    True
+    """
+    return AUTO, *names()
+
+
 def get(name: str, argument: str = "backend") -> Method:
-    """Return the method of a name; the error of an unknown one names `argument` and lists all."""
+    """Return the method of a name; the error of an unknown one names `argument` and lists all.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.methods.get("fmm").any_kernel  # isotropic ones only
+    False
+    """
     return _methods[check.one_of(argument, name, names())]
 
 
 def parameters(backend: str) -> Mapping[str, Parameter]:
-    """Return the parameters that a method declares; "auto" has none, it chooses them."""
+    """Return the parameters that a method declares; "auto" has none, it chooses them.
+
+    Examples
+    --------
+    >>> import treecode as tc
+    >>> tc.methods.parameters("kitc")["degree"].default
+    7
+    """
     return {} if backend == AUTO else get(backend).parameters
 
 
@@ -119,8 +164,10 @@ class Choice:
     --------
     >>> import treecode as tc
     >>> choice = tc.Choice("kitc", theta=0.7, degree=7, leaf_size=2000)
-    >>> str(choice), tc.Choice(**choice.as_dict()) == choice
-    ('kitc(0.7/7)', True)
+    >>> print(choice, tc.EXACT)
+    kitc(0.7/7) direct
+    >>> tc.Choice(**choice.as_dict()) == choice
+    True
     """
 
     __slots__ = ("_items", "backend")
