@@ -20,6 +20,7 @@ from mrs.stiffness import Stiffness
 from mrs.time.state import State
 
 _LARGEST = 400  # nodes of a block: its matrix has 36 times the square of that
+_PRECISION = np.float32  # of factors
 _KEPT = 4  # factorisations
 _PROXIES = 6  # of a piece
 _RIGHT = 1e-2  # relative residual of solutions
@@ -55,11 +56,16 @@ class Block:
         Among those of all stiff bodies.
     mobility : (6 m, 6 m) ndarray
     stiffness : (6 m, 6 m) scipy.sparse.csr_array
+    unit : (6 m,) ndarray
+        Of coordinates: with others factors would depend on the user's unit of length.
     """
 
-    def __init__(self, nodes: np.ndarray, mobility: np.ndarray, stiffness: Any) -> None:
-        self.nodes = nodes
-        self._jacobian = np.asarray((stiffness.T @ mobility.T).T, np.float64)
+    def __init__(
+        self, nodes: np.ndarray, mobility: np.ndarray, stiffness: Any, unit: np.ndarray
+    ) -> None:
+        self.nodes, self._unit = nodes, unit
+        jacobian = (stiffness.T @ mobility.T).T
+        self._jacobian = np.asarray(jacobian * (unit / unit[:, None]), _PRECISION)
         self._factors: dict[float, Any] = {}
 
     def solve(self, g: float, right: np.ndarray) -> np.ndarray:
@@ -67,15 +73,15 @@ class Block:
         if g not in self._factors:
             while len(self._factors) >= _KEPT:
                 del self._factors[next(iter(self._factors))]
-            matrix = np.multiply(self._jacobian, -g, dtype=np.float64)
+            matrix = self._jacobian * _PRECISION(-g)
             matrix.flat[:: len(matrix) + 1] += 1.0
             # Of the transpose, which is the matrix as Fortran has it.
-            lu, pivots, _ = scipy.linalg.lapack.dgetrf(matrix.T, overwrite_a=1)
+            lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
             self._factors[g] = lu, pivots
         lu, pivots = self._factors[g]
-        flat = np.asarray(right.reshape(-1), np.float64)
-        solution, _ = scipy.linalg.lapack.dgetrs(lu, pivots, flat, trans=1)
-        return np.asarray(solution, float).reshape(right.shape)
+        flat = np.asarray(right.reshape(-1) / self._unit, _PRECISION)
+        solution, _ = scipy.linalg.lapack.sgetrs(lu, pivots, flat, trans=1)
+        return (self._unit * solution).reshape(right.shape)
 
 
 class Proxies:
@@ -299,7 +305,11 @@ def linearized(
         parts = own.reshape(len(rows), 6, len(rows), 6)
         parts[held], parts[:, :, held] = 0.0, 0.0
         columns = (6 * rows[:, None] + np.arange(6)).ravel()
-        blocks.append(Block(rows, own, stiffness[columns][:, columns]))
+        units = np.stack(
+            [unit[nodes.positions[rows]], unit[len(state.positions) + nodes.triads[rows]]]
+        )
+        units = np.repeat(units.reshape(2, -1).T, 3, axis=1).ravel()
+        blocks.append(Block(rows, own, stiffness[columns][:, columns], units))
     proxies = None
     if made is not None and len(blocks) > 1:
         proxies = Proxies(nodes, points, sizes, block, made, boundary)

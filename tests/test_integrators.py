@@ -103,7 +103,7 @@ def one_step(method, f, t, z, h, stages=2):
     radius = ((stages - 0.5) ** 2 - 1.0) / 1.54 / (1.1 * h)  # SSV eq. 2.5, and the code's margin
     if method.name == "rkc2":
         assert method.stages(1.1 * h * radius) == stages
-    return method.step(Problem(f, f(t, z), radius), t, z, h, method.init(z))[:2]
+    return method.step(Problem(f, lambda: f(t, z), radius), t, z, h, method.init(z))[:2]
 
 
 def fixed_steps(method, stages, f, z, steps):

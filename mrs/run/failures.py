@@ -10,7 +10,7 @@ import numpy as np
 from mrs import check
 from mrs.output import run_directory
 from mrs.time.state import State
-from mrs.time.stepper import NotFiniteError, StepSizeError
+from mrs.time.stepper import ConvergenceError, NotFiniteError, StepSizeError
 
 if TYPE_CHECKING:
     from mrs.run.simulation import Simulation
@@ -89,6 +89,8 @@ def explained(sim: Simulation, error: BaseException) -> BaseException:
             f"{sim.integrator.tolerance:g}; allow a larger one, or look for forces, "
             "lengths or times out of scale"
         )
+    if isinstance(error, ConvergenceError):
+        return SimulationError(f"the equations of the implicit step were not solved {_place(sim)}")
     if isinstance(error, (FloatingPointError, check.FunctionError)):
         return SimulationError(f"at time {sim.time:g}: {error}")
     return error

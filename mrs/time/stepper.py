@@ -164,6 +164,10 @@ class StepSizeError(ArithmeticError):
     """No step, however small, keeps the error within the tolerance."""
 
 
+class ConvergenceError(ArithmeticError):
+    """The equations of an implicit step were not solved."""
+
+
 class _Local:
     """A system in local coordinates about a state, and what went wrong there.
 
@@ -334,6 +338,8 @@ class Stepper:
             self.taken = h
             local.forget()
             allowed = self.tolerance * system.error_scale
+            if not allowed.all():
+                allowed = _filled(allowed, self.tolerance * h * local.rates(), _ROUNDING * z)
             problem = Problem(local.f, local.rates, self.radius, state, local.linearized, allowed)
             taken = self.method.step(problem, time, z, h, self.memory)
             new = taken.z
@@ -341,14 +347,17 @@ class Stepper:
             if not unit.all():
                 rounding = _ROUNDING / self.tolerance * z  # is no error, even if nothing moves
                 unit = _filled(unit, new - z, h * local.rates(), rounding)
-            ratio = self._error_ratio(new, taken.error, unit)
+            ratio = self._error_ratio(new, taken.error, unit) if taken.converged else math.inf
             if ratio <= 1.0:
                 refused = system.refusal(time + h, state.moved(new))
                 if refused is None:
                     break
                 ratio = math.inf
                 local.blamed.append(refused)
-            self._reject(h, ratio, interval, taken, local.causes(new))
+            causes = (
+                local.causes(new) if taken.converged else [*local.causes(z), ConvergenceError(h)]
+            )
+            self._reject(h, ratio, interval, taken, causes)
             tries += 1
             self._failures += not math.isfinite(ratio)
             if self._chooses and self._failures >= _FAILED:

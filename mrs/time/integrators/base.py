@@ -50,7 +50,7 @@ class Problem:
     linearized : callable
         Of a time and a state: returns the Jacobian as it was there, turned to the start.
     unit : (P + Q, 1) ndarray
-        Allowed error of each coordinate; 0 where it is not known before the step.
+        Allowed error of each coordinate.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class Problem:
         unit: Any = 1.0,
     ) -> None:
         self.f, self._rates, self.spectral_radius = f, rates, spectral_radius
-        self._state, self._linearized, self._unit = state, linearized, unit
+        self._state, self._linearized, self.unit = state, linearized, unit
 
     @cached_property
     def rates(self) -> np.ndarray:
@@ -80,16 +80,9 @@ class Problem:
         """Return the Jacobian as it was at a time and in a state, turned to the start."""
         return NotStiff() if self._linearized is None else self._linearized(time, state)
 
-    @property
-    def units(self) -> np.ndarray:
-        """Allowed error of each coordinate; 1 where it is not known."""
-        return np.where(self._unit > 0.0, self._unit, 1.0)
-
     def size(self, change: np.ndarray) -> float:
         """Return the largest change of a coordinate, in allowed errors."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ratios = np.abs(change) / self._unit
-        return float(np.max(ratios, initial=0.0, where=self._unit > 0.0))
+        return float((np.abs(change) / self.unit).max(initial=0.0))
 
 
 class Step(NamedTuple):
@@ -101,6 +94,8 @@ class Step(NamedTuple):
     """An estimate of their error, from methods that have one."""
     memory: Arrays | None = None
     """Arrays that the method needs in the next step; None if it needs none."""
+    converged: bool = True
+    """Whether the equations of an implicit step were solved."""
     again: Arrays | None = None
     """The arrays for another try, if the step is rejected; None if those that were given."""
     growth: float | None = None

@@ -173,8 +173,7 @@ class BackwardDifferentiation:
         past = _remembered(memory, t, problem.state)
         solved = self._solved(problem, t, h, past)
         if solved is None:  # with a new Jacobian too
-            lost = np.full_like(z, np.nan)
-            return Step(lost, lost)
+            return Step(z, converged=False)
         return self._judged(problem, t + h, *solved)
 
     def _solved(
@@ -238,7 +237,14 @@ class BackwardDifferentiation:
         if 1.0 <= wanted < _WORTH:
             wanted = 1.0
         memory = _advanced(past, ahead, problem.state.moved(new), best, since)
-        return Step(new, error, memory.arrays(), past.arrays(), min(wanted, _GROWTH), order)
+        return Step(
+            new,
+            error,
+            memory.arrays(),
+            again=past.arrays(),
+            growth=min(wanted, _GROWTH),
+            error_order=order,
+        )
 
 
 def _errors(
@@ -290,7 +296,7 @@ class _Solve:
 
     def _iterated(self, right: np.ndarray) -> np.ndarray:
         assert self._problem is not None
-        shape, unit = right.shape, self._problem.units
+        shape, unit = right.shape, self._problem.unit
 
         def applied(scaled: np.ndarray) -> np.ndarray:
             x = scaled.reshape(shape) * unit
@@ -331,10 +337,11 @@ def _corrected(
             return None
         correction = -solve(residual(z))
         before, size = size, problem.size(correction)
-        if not size < _DIVERGENT * before:
+        if not size <= _DIVERGENT * before:
             return None
         z, age = z + correction, 0
-        rate = min(max(size / before, 0.3 * rate, _LEAST_RATE), _LARGEST_RATE)
+        measured = size / before if before > 0.0 else 0.0
+        rate = min(max(measured, 0.3 * rate, _LEAST_RATE), _LARGEST_RATE)
     return None
 
 
