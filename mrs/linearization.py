@@ -156,8 +156,8 @@ class Linearization:
     stiffness : scipy.sparse.csr_array
         Of all nodes.
     proxies : Proxies or None
-    unit : (P + Q, 1) ndarray
-        Of errors of coordinates.
+    unit : (n, 2, 3) ndarray
+        Of errors of the coordinates of nodes.
     motion : callable
         Of points and their loads, (n, 2, 3): returns their motion, (n, 2, 3), by a sum.
     """
@@ -178,7 +178,7 @@ class Linearization:
         self._stiffness = stiffness
         rows = nodes.positions, nodes.triads
         self._rows = rows[0], rows[1] + len(state.positions)
-        self._unit = np.stack([np.tile(unit[rows], 3) for rows in self._rows], axis=1)
+        self._unit = unit
 
     def at(self, state: State) -> Placed:
         """Return it in the frames that nodes have in a state."""
@@ -187,6 +187,8 @@ class Linearization:
 
     def solve(self, g: float, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
         """Return x with (1 - g A) x = right, (P + Q, 3), where nodes have turned."""
+        if not np.isfinite(right).all():  # the step will be rejected
+            return np.full_like(right, np.nan)
         out = right.copy()
         own = np.stack([right[rows] for rows in self._rows], axis=1)  # (n, 2, 3)
         inside = rotations.rotate(rotations.conjugate(turn)[:, None], own)
@@ -297,6 +299,8 @@ def linearized(
     nodes, stiffness = found
     points = layout.points(time, state)[nodes.points]
     sizes = epsilons[nodes.points]
+    places = nodes.positions, nodes.triads + len(state.positions)
+    units = np.stack([np.tile(unit[rows], 3) for rows in places], axis=1)
     block = _blocks(nodes.piece, points, sizes)
     blocks = []
     for rows in np.split(np.argsort(block, kind="stable"), np.cumsum(np.bincount(block))[:-1]):
@@ -305,15 +309,11 @@ def linearized(
         parts = own.reshape(len(rows), 6, len(rows), 6)
         parts[held], parts[:, :, held] = 0.0, 0.0
         columns = (6 * rows[:, None] + np.arange(6)).ravel()
-        units = np.stack(
-            [unit[nodes.positions[rows]], unit[len(state.positions) + nodes.triads[rows]]]
-        )
-        units = np.repeat(units.reshape(2, -1).T, 3, axis=1).ravel()
-        blocks.append(Block(rows, own, stiffness[columns][:, columns], units))
+        blocks.append(Block(rows, own, stiffness[columns][:, columns], units[rows].ravel()))
     proxies = None
     if made is not None and len(blocks) > 1:
         proxies = Proxies(nodes, points, sizes, block, made, boundary)
-    return Linearization(time, state, nodes, blocks, stiffness, proxies, unit, motion)
+    return Linearization(time, state, nodes, blocks, stiffness, proxies, units, motion)
 
 
 def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | None:

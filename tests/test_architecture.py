@@ -152,6 +152,10 @@ ALLOWED = {
     "mrs.registry": set(),
     "mrs.rotations": set(),
     "mrs.rigid_motion": {"mrs.rotations"},
+    "mrs.stiffness": set(),
+    "mrs.linearization": {
+        "mrs.bodies.layout", "mrs.fluid", "mrs.rotations", "mrs.stiffness", "mrs.time",
+    },
     "mrs.resistance_matrix": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.rigid_motion", "mrs.scene",
     },
@@ -159,6 +163,7 @@ ALLOWED = {
     "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
     "mrs.bodies": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",
+        "mrs.stiffness",
         "mrs.rotations", "mrs.time.state", "treecode.shown",
     },
     "mrs.forces": {
@@ -169,7 +174,8 @@ ALLOWED = {
     "mrs.fluid.blocks": {"mrs.rigid_motion", "mrs.rotations"},
     "mrs.fluid.resistance": {"mrs.fluid", "mrs.rigid_motion", "mrs.rotations"},
     "mrs.scene": {
-        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.profile", "mrs.rigid_motion",
+        "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.linearization", "mrs.profile",
+        "mrs.rigid_motion",
         "mrs.time.state", "treecode.ranks",
     },
     "mrs.observables": {

@@ -281,7 +281,7 @@ def test_explicit_steps_take_over_where_corrections_diverge(monkeypatch):
 
     monkeypatch.setattr(sim.scene, "linearized", wrong)
     sim.run(0.02)
-    assert sim.stepper.method.name == "rkc2"
+    assert sim.stepper.method.name in ("rkc2", "bs32")
     np.testing.assert_allclose(sim.state.positions, right.state.positions, rtol=0, atol=1e-4)
 
 

@@ -354,9 +354,9 @@ class Stepper:
                     break
                 ratio = math.inf
                 local.blamed.append(refused)
-            causes = (
-                local.causes(new) if taken.converged else [*local.causes(z), ConvergenceError(h)]
-            )
+            causes = local.causes(new)
+            if not taken.converged:
+                causes.append(ConvergenceError(h))
             self._reject(h, ratio, interval, taken, causes)
             tries += 1
             self._failures += not math.isfinite(ratio)
