@@ -17,6 +17,7 @@ from mrs.linearization import Linearization, linearized
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
+from treecode.blas import blas_of_one_thread
 from treecode.ranks import joint
 
 _PERTURBATION = 1e-3  # of positions in blob sizes and of triads in radians, to estimate eigenvalues
@@ -176,7 +177,7 @@ class Scene:
         with self.mobility.lock:
             last = self._last
             if last is None or last.time != time or not last.state.equals(state):
-                with self.profile.stage("forces"):
+                with self.profile.stage("forces"), blas_of_one_thread:
                     last = self._last = self._evaluate(time, state, near)
             return last
 

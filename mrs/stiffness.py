@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 
 
 class Stiffness(NamedTuple):
@@ -24,3 +25,27 @@ class Stiffness(NamedTuple):
     matrix: Any
     held: np.ndarray
     pieces: np.ndarray
+
+
+def assembled(rows: np.ndarray, columns: np.ndarray, blocks: np.ndarray, count: int) -> Any:
+    """Return a matrix of blocks, those of one place added up.
+
+    Parameters
+    ----------
+    rows, columns : (b,) int ndarray
+        Points of each block.
+    blocks : (b, 6, 6) ndarray
+    count : int
+        Number n of points.
+
+    Returns
+    -------
+    (6 n, 6 n) scipy.sparse.csr_array
+    """
+    places = rows * count + columns
+    order = np.argsort(places, kind="stable")
+    place, first = np.unique(places[order], return_index=True)
+    data = np.add.reduceat(blocks[order], first)
+    starts = np.searchsorted(place // count, np.arange(count + 1))
+    shape = 6 * count, 6 * count
+    return scipy.sparse.bsr_array((data, place % count, starts), shape=shape).tocsr()

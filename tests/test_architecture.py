@@ -95,7 +95,7 @@ ALLOWED = {
         "treecode._fingerprint", "treecode._jit", "treecode.cache", "treecode.kernels.base",
         "treecode.methods.fmm.level", "treecode.methods.fmm.operators",
     },
-    "treecode.methods.fmm.blas": {"treecode._jit"},
+    "treecode.blas": {"treecode._jit"},
     "treecode.methods.fmm.loops": {
         "treecode._jit", "treecode._lanes", "treecode.methods.fmm.octree",
         "treecode.methods.fmm.symmetry", "treecode.pairs",
@@ -116,8 +116,8 @@ ALLOWED = {
         "treecode.methods.fmm.curve", "treecode.methods.fmm.octree", "treecode.ranks",
     },
     "treecode.methods.fmm": {
-        "treecode.check", "treecode.kernels.base", "treecode.methods.base", "treecode.methods.fmm",
-        "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.traversal",
+        "treecode.blas", "treecode.check", "treecode.kernels.base", "treecode.methods.base",
+        "treecode.methods.fmm", "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.traversal",
     },
     "treecode.methods": {"treecode.methods"},
     "treecode.ranks": set(),
@@ -176,7 +176,7 @@ ALLOWED = {
     "mrs.scene": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.forces", "mrs.linearization", "mrs.profile",
         "mrs.rigid_motion",
-        "mrs.time.state", "treecode.ranks",
+        "mrs.time.state", "treecode.blas", "treecode.ranks",
     },
     "mrs.observables": {
         "mrs.check", "mrs.fluid", "mrs.observables", "mrs.output", "mrs.registry",
@@ -190,7 +190,8 @@ ALLOWED = {
     },
     "mrs.run": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.fluid", "mrs.forces", "mrs.observables",
-        "mrs.output", "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.ranks",
+        "mrs.output", "mrs.profile", "mrs.run", "mrs.scene", "mrs.time", "treecode.blas",
+        "treecode.ranks",
         "treecode.shown", "treecode.version",
     },
     "mrs.run.signals": {"treecode.ranks"},

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 import mrs
 import treecode as tc
 from mrs.fluid.mobility import Mobility
-from treecode.methods.fmm.blas import blas_of_one_thread
+from treecode.blas import blas_of_one_thread
 
 KERNEL = tc.RegularizedStokeslet(epsilon=0.02)
 WAYS = {

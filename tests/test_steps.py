@@ -9,7 +9,8 @@ import pytest
 import mrs
 from mrs.time.integrators import METHODS
 from mrs.time.state import State
-from mrs.time.stepper import Stepper, System
+from mrs.time.stepper import Stepper
+from mrs.time.system import System
 from tests.cases import rod_oracle as oracle
 from tests.cases.motions import ROD, STRAIN, Coupled, advance, small_rod
 

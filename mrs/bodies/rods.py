@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-import scipy
 from numpy.typing import ArrayLike
 
 from mrs import check, rotations
@@ -15,7 +14,7 @@ from mrs.bodies.base import Body
 from mrs.bodies.drive import Drive, Mount
 from mrs.bodies.geometry import Centerline
 from mrs.rigid_motion import Mounted
-from mrs.stiffness import Stiffness
+from mrs.stiffness import Stiffness, assembled
 from mrs.time.state import Arrays, State
 
 Strain = Callable[[np.ndarray, np.ndarray], Any]
@@ -336,33 +335,15 @@ class Rods(Body):
         )
         at_left, at_right = np.dstack([-by_step, by_start]), np.dstack([by_step, by_end])
         held = np.empty(0, int) if self.base == "free" else self.first
-        matrix = self._assembled(at_left, at_right, held)
-        return Stiffness(matrix, held, self.rod_of_node)
-
-    def _assembled(self, at_left: np.ndarray, at_right: np.ndarray, held: np.ndarray) -> Any:
-        """Return the derivative of the loads of nodes, from the internal loads of segments.
-
-        Parameters
-        ----------
-        at_left, at_right : (segments, 9, 6) ndarray
-            Derivatives of force, half couple and moment for the nodes at both ends.
-        held : int ndarray
-            Nodes without loads on the fluid.
-        """
         one, none = np.eye(3), np.zeros((3, 3))
         on_left = np.block([[one, none, none], [none, one, one]])
         on_right = np.block([[-one, none, none], [none, one, -one]])
         left, right, count = self._left, self._right, len(self.positions)
         blocks = [on @ at for on in (on_left, on_right) for at in (at_left, at_right)]
-        rows, data = np.concatenate([left, left, right, right]), np.concatenate(blocks)
+        rows, others = np.concatenate([left, left, right, right]), np.tile([left, right], (2, 1))
+        data = np.concatenate(blocks)
         data[np.isin(rows, held)] = 0.0
-        places = rows * count + np.concatenate([left, right, left, right])
-        order = np.argsort(places, kind="stable")
-        place, first = np.unique(places[order], return_index=True)
-        data = np.add.reduceat(data[order], first)
-        starts = np.searchsorted(place // count, np.arange(count + 1))
-        shape = 6 * count, 6 * count
-        return scipy.sparse.bsr_array((data, place % count, starts), shape=shape).tocsr()
+        return Stiffness(assembled(rows, others.ravel(), data, count), held, self.rod_of_node)
 
     def lengths_of_points(self) -> np.ndarray:
         """Return half the lengths of the segments that meet at each node, (nodes,)."""

@@ -10,7 +10,7 @@ import numpy as np
 from mrs import check
 from mrs.output import run_directory
 from mrs.time.state import State
-from mrs.time.stepper import ConvergenceError, NotFiniteError, StepSizeError
+from mrs.time.system import ConvergenceError, NotFiniteError, StepSizeError
 
 if TYPE_CHECKING:
     from mrs.run.simulation import Simulation

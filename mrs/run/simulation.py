@@ -27,7 +27,9 @@ from mrs.run.failures import SimulationError, explained, require_whole, require_
 from mrs.scene import Evaluation, Scene
 from mrs.time.interrupts import Interrupt, Moment, next_stop
 from mrs.time.state import Arrays, State, below
-from mrs.time.stepper import Integrator, Stepper, System, Watched
+from mrs.time.stepper import Integrator, Stepper
+from mrs.time.system import System, Watched
+from treecode.blas import blas_of_one_thread
 from treecode.ranks import OneRank
 from treecode.shown import Shown
 
@@ -307,7 +309,8 @@ class Simulation(Shown):
                 self.scene.correct(self.time, self.state)
                 self._corrected = steps - steps % _CORRECT_EVERY
             ignoring = np.errstate(over="ignore", invalid="ignore")
-            with self.profile.stage("integrator"), ignoring:
+            # With more threads of BLAS bits would depend on their number.
+            with self.profile.stage("integrator"), ignoring, blas_of_one_thread:
                 time, state = self.stepper.step(system, self.time, self.state, stop, end)
             require_whole(self, state)
             state = self.scene.kicked(time, state, self.stepper.taken, self.stepper.steps)

@@ -1,20 +1,20 @@
-"""Step sizes: fixed, from stability, or from the error; rejections; values that are not finite."""
+"""Step sizes: fixed, from stability, or from the error; rejections; the choice of a method."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from mrs import check
 from mrs.time.integrators import METHODS, Problem, Step
-from mrs.time.integrators.base import Dense, Linearized, NotStiff
+from mrs.time.integrators.base import Dense
 from mrs.time.integrators.spectral import MARGIN, spectral_radius
 from mrs.time.state import Arrays, State, below
+from mrs.time.system import ConvergenceError, Local, StepSizeError, System
 
 _SAFETY = 0.8  # of step sizes against the error and the stability limit
 _LARGEST_MOVE = 0.1  # in one step of a method without an error estimate: lengths of bodies, radians
@@ -93,136 +93,6 @@ class Integrator:
     def names() -> tuple[str, ...]:
         """Return the allowed values of `name`."""
         return AUTO, *METHODS
-
-
-class System(Protocol):
-    """The system to be integrated: a scene."""
-
-    error_scale: np.ndarray
-    """Unit of errors, (P + Q, 1); 0 where nothing has a length, and motion is the measure."""
-    perturbation: np.ndarray
-    """A small displacement of each coordinate, (P + Q, 1); 0 likewise."""
-    is_stiff: bool = False
-    """Whether an implicit method is worth its while."""
-
-    def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
-        """Return velocities and angular velocities, (P + Q, 3).
-
-        With `near`, from which the state differs little, it may be one that `refusal` refuses.
-        """
-
-    def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
-        """Return why a state cannot be; None if it can, as by default."""
-        return None
-
-    def linearized(self, time: float, state: State) -> Any:
-        """Return an approximate Jacobian of the rates; None if there is none, as by default.
-
-        Its method `at` turns it to another state, as a `mrs.time.integrators.Linearized`.
-        """
-        return None
-
-
-class Watched:
-    """A system that looks for something, such as a signal, before each evaluation.
-
-    Parameters
-    ----------
-    system : System
-    look : function
-        What it raises ends the step.
-    """
-
-    def __init__(self, system: System, look: Callable[[], None]) -> None:
-        self._system, self._look = system, look
-        self.error_scale, self.perturbation = system.error_scale, system.perturbation
-        self.is_stiff = system.is_stiff
-
-    def rates(self, time: float, state: State, near: State | None = None) -> np.ndarray:
-        """Return velocities and angular velocities, (P + Q, 3)."""
-        self._look()
-        return self._system.rates(time, state, near)
-
-    def refusal(self, time: float, state: State) -> check.NotFiniteValueError | None:
-        """Return why a state cannot be; None if it can."""
-        return self._system.refusal(time, state)
-
-    def linearized(self, time: float, state: State) -> Any:
-        """Return an approximate Jacobian of the rates; None if there is none."""
-        return self._system.linearized(time, state)
-
-
-class NotFiniteError(ArithmeticError):
-    """The state is not finite, or would not be after the smallest step."""
-
-    def __init__(self, row: int) -> None:
-        super().__init__(row)
-        self.row = row
-
-
-class StepSizeError(ArithmeticError):
-    """No step, however small, keeps the error within the tolerance."""
-
-
-class ConvergenceError(ArithmeticError):
-    """The equations of an implicit step were not solved."""
-
-
-class _Local:
-    """A system in local coordinates about a state, and what went wrong there.
-
-    Attributes
-    ----------
-    lost : list of int
-        The row that ceased to be finite first, which takes all others with it.
-    blamed : list of NotFiniteValueError
-        Of a user's function that was led too far, or of a point that left the fluid.
-    """
-
-    def __init__(self, system: System, time: float, state: State) -> None:
-        self.system, self._time, self._state = system, time, state
-        self.lost: list[int] = []
-        self.blamed: list[check.NotFiniteValueError] = []
-        self._rates: np.ndarray | None = None
-
-    def rates(self) -> np.ndarray:
-        """Return the rates at the state itself."""
-        if self._rates is None:
-            rates = self.system.rates(self._time, self._state)
-            _require_finite(rates)
-            self._rates = rates
-        return self._rates
-
-    def f(self, t: float, z: np.ndarray) -> np.ndarray:
-        """Return dz/dt; not finite where it cannot be."""
-        try:
-            rates = self.system.rates(t, self._state.moved(z))
-            values = self._state.local_rates(z, rates)
-        except check.NotFiniteValueError as error:
-            self.blamed.append(error)
-            values = np.full_like(z, np.nan)
-        self.lost.extend(_not_finite(values)[: 1 - len(self.lost)])
-        return values
-
-    def beside(self, z: np.ndarray) -> np.ndarray:
-        """Return dz/dt near the state."""
-        rates = self.system.rates(self._time, self._state.moved(z), self._state)
-        return self._state.local_rates(z, rates)
-
-    def linearized(self, time: float, state: State) -> Linearized:
-        """Return the Jacobian as it was at a time and in a state, turned to this one."""
-        found = self.system.linearized(time, state)
-        return NotStiff() if found is None else found.at(self._state)
-
-    def forget(self) -> None:
-        """Begin a new try."""
-        self.lost.clear()
-        self.blamed.clear()
-
-    def causes(self, new: np.ndarray) -> list[Exception]:
-        """Return why a try failed that led to coordinates `new`."""
-        self.lost.extend(_not_finite(new)[: 1 - len(self.lost)])
-        return [*self.blamed, *map(NotFiniteError, self.lost)]
 
 
 class Stepper:
@@ -323,7 +193,7 @@ class Stepper:
 
     def _step(self, system: System, time: float, state: State, stop: float) -> tuple[float, State]:
         """Return time and state after one accepted step, with which a step of the method ends."""
-        local = _Local(system, time, state)
+        local = Local(system, time, state)
         z = state.coordinates()
         interval = stop - time
         tries = 0
@@ -404,7 +274,7 @@ class Stepper:
         """Whether there is a limit of stability."""
         return math.isfinite(self.method.stability_interval())
 
-    def _size(self, interval: float, local: _Local, scale: np.ndarray) -> float:
+    def _size(self, interval: float, local: Local, scale: np.ndarray) -> float:
         """Return the step to try: whole steps fill the interval evenly, none is left tiny."""
         limit = (
             self.method.stability_interval() / (MARGIN * self.radius) if self.radius else math.inf
@@ -474,7 +344,7 @@ class Stepper:
             best = h * taken.growth
         return min(max(best, 0.1 * h), largest)
 
-    def _estimate_radius(self, local: _Local, z: np.ndarray, interval: float) -> None:
+    def _estimate_radius(self, local: Local, z: np.ndarray, interval: float) -> None:
         rates, small = local.rates(), local.system.perturbation
         if not small.all():
             small = _filled(small, _SMALL * z, _SMALL * interval * rates)
@@ -487,13 +357,3 @@ def _filled(scale: np.ndarray, *displacements: np.ndarray) -> np.ndarray:
     without = scale[:, 0] == 0.0
     largest = max(float(np.abs(moved[without]).max()) for moved in displacements)
     return np.where(scale == 0.0, largest or 1.0, scale)  # nothing moves: any unit will do
-
-
-def _not_finite(values: np.ndarray) -> list[int]:
-    return np.flatnonzero(~np.isfinite(values).all(axis=1)).tolist()
-
-
-def _require_finite(values: np.ndarray) -> None:
-    lost = _not_finite(values)
-    if lost:
-        raise NotFiniteError(lost[0])

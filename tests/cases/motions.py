@@ -5,7 +5,7 @@ from scipy.spatial.transform import Rotation
 
 import mrs
 from mrs.time.state import State
-from mrs.time.stepper import System
+from mrs.time.system import System
 from tests.cases import rod_oracle as oracle
 
 

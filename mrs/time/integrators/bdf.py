@@ -8,6 +8,7 @@ estimates of neighbouring orders as in L. F. Shampine & M. W. Reichelt, SIAM J. 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -188,7 +189,7 @@ class BackwardDifferentiation:
             predicted = _extrapolated(ahead, past.times, history, order)
         else:
             predicted = history[0] + h * problem.rates
-        known, g = np.tensordot(d[1:], history[:order], 1), h / d[0]
+        known, g = _combined(d[1:], history[:order]), h / d[0]
         there = problem.state.moved(predicted)
         fresh = False
 
@@ -316,7 +317,7 @@ class _Solve:
 def _corrected(
     problem: Problem,
     solve: _Solve,
-    residual,
+    residual: Callable[[np.ndarray], np.ndarray],
     predicted: np.ndarray,
     first: np.ndarray,
     past: _Memory,
@@ -365,4 +366,9 @@ def _extrapolated(ahead: float, times: np.ndarray, values: np.ndarray, order: in
         np.prod([(ahead - other) / (point - other) for other in points if other != point])
         for point in points
     ]
-    return np.tensordot(np.array(weights), values[: order + 1], 1)
+    return _combined(weights, values[: order + 1])
+
+
+def _combined(weights: Iterable[float], values: np.ndarray) -> np.ndarray:
+    """Return the sum of arrays with weights."""
+    return sum((w * v for w, v in zip(weights, values, strict=True)), np.zeros(values.shape[1:]))

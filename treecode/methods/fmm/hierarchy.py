@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from treecode.blas import blas_of_one_thread
 from treecode.kernels.base import Kernel
 from treecode.methods.fmm import loops
-from treecode.methods.fmm.blas import blas_of_one_thread
 from treecode.methods.fmm.level import OFFSETS, Level
 from treecode.methods.fmm.lists import Lists
 from treecode.methods.fmm.octree import Octree

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from treecode.blas import blas_of_one_thread
 from treecode.kernels.base import Kernel
-from treecode.methods.fmm.blas import blas_of_one_thread
 from treecode.methods.fmm.far_field import Expansions, FarField
 from treecode.methods.fmm.hierarchy import Hierarchy, first_level
 from treecode.methods.fmm.lists import find_lists
