@@ -20,7 +20,8 @@ from mrs.time.state import Arrays, State
 
 _HIGHEST = 4  # order
 _CORRECTIONS = 4  # in one step at most
-_ENOUGH = 0.2  # error that corrections may leave, in tolerances
+_SHARE = 0.2  # of the tolerance for the error of a step: those of neighbours have one sign
+_ENOUGH = 0.2 * _SHARE  # error that corrections may leave, in tolerances
 _DIVERGENT = 2.0  # ratio of two corrections from which there is no hope
 _LEAST_RATE, _LARGEST_RATE = 1e-3, 0.9  # of ratios that are taken for the rate of convergence
 _MEASURED = 10  # steps after which the ratio of two corrections is measured again
@@ -226,7 +227,7 @@ class BackwardDifferentiation:
         errors = _errors(ahead, new, past, history)
         if errors:
             error = errors[order]
-            growth = {k: _growth(problem.size(e), k) for k, e in errors.items()}
+            growth = {k: _growth(problem.size(e) / _SHARE, k) for k, e in errors.items()}
             other = max(growth, key=lambda k: growth[k])
             if since > order and growth[other] > _BIAS * growth[order]:
                 best, since = other, 0
@@ -234,13 +235,13 @@ class BackwardDifferentiation:
         else:  # of the first step, which the rates predict
             h = ahead - past.times[0]
             error = 0.5 * (new - history[0] - h * problem.rates)
-            wanted = _growth(problem.size(error), order)
+            wanted = _growth(problem.size(error) / _SHARE, order)
         if 1.0 <= wanted < _WORTH:
             wanted = 1.0
         memory = _advanced(past, ahead, problem.state.moved(new), best, since)
         return Step(
             new,
-            error,
+            error / _SHARE,
             memory.arrays(),
             again=past.arrays(),
             growth=min(wanted, _GROWTH),
