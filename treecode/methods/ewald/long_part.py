@@ -139,6 +139,63 @@ def _transform(
     return np.asarray(function(*angles, data, **options))
 
 
+class Transforms:
+    """The smooth flow of some weights: to waves and back, one transform after the other.
+
+    Parameters
+    ----------
+    waves : Waves
+    precision : Precision
+    weights : (3 or 6, N) float64
+        Forces, and torques.
+    sources, targets : (3, N) and (3, M) float64
+        In parts of lattice vectors.
+
+    Attributes
+    ----------
+    count : int
+        Calls of `forward` and of `backward`, in any order, on any threads.
+    rows : int
+        Of waves, to which `apply` applies the kernel between them.
+    """
+
+    def __init__(
+        self,
+        waves: Waves,
+        precision: Precision,
+        weights: np.ndarray,
+        sources: np.ndarray,
+        targets: np.ndarray,
+    ) -> None:
+        self._waves, self._precision = waves, precision
+        self._weights, self._sources, self._targets = weights, sources, targets
+        self.count, self.rows = -(-len(weights) // 2), int(waves.counts[0]) + 1
+        self._modes: np.ndarray = np.zeros((self.count, *waves.shape), precision.dtype)
+        self._smooth: np.ndarray = np.empty((self.count, targets.shape[1]), precision.dtype)
+
+    def forward(self, t: int) -> None:
+        """Turn two components of the weights into waves."""
+        real, *imaginary = self._weights[2 * t : 2 * t + 2]
+        pair = real + 1j * (imaginary[0] if imaginary else 0.0)
+        self._modes[t] = to_waves(self._sources, pair, self._waves.shape, self._precision)
+
+    def apply(self, rows: slice) -> None:
+        """Turn some waves of the weights into those of their flow."""
+        waves = self._waves
+        of_waves = waves.counts, waves.reciprocal, waves.chi
+        apply_flow(self._modes, *of_waves, rows.start, rows.stop)
+
+    def backward(self, t: int) -> None:
+        """Turn the waves of two components of the flow into values at the targets."""
+        self._smooth[t] = from_waves(self._targets, self._modes[t], self._precision)
+
+    def add_to(self, values: np.ndarray, order: np.ndarray | slice) -> None:
+        """Add the flow to some rows of values, (M, 3 or 6), one for each target."""
+        for c in range(values.shape[1]):
+            part = self._smooth[c // 2]
+            values[order, c] += part.imag if c % 2 else part.real
+
+
 @compiled
 def apply_flow(modes, counts, reciprocal, chi, begin, end):
     """Turn the waves of strengths into those of their flow, in place.
