@@ -34,8 +34,8 @@ class Waves(NamedTuple):
     reciprocal : (3, 3) float64
         Reciprocal vectors, in rows, with the factor 2 pi.
     chi : (counts[0] + 1, 2 counts[1] + 1, 2 counts[2] + 1) float64
-        4 pi / k^2 times the multiplier, over the volume; of half of the waves, which the conjugates
-        of the others are.
+        Half of what a force drives across a wave, over the volume: of the smooth part 4 pi / k^2
+        times the multiplier. Of half of the waves, which the conjugates of the others are.
     """
 
     counts: np.ndarray
@@ -55,6 +55,20 @@ def count_waves(vectors: np.ndarray, largest: float) -> np.ndarray:
 
 def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -> Waves:
     """Return the waves up to a wave number, for the smooth part of a split."""
+
+    def chi(k: np.ndarray) -> np.ndarray:
+        # As a function of log k it is smooth, which it is not at k = 0.
+        knots = np.linspace(math.log(k.min()) - 0.1, math.log(largest) + 0.1, _KNOTS)
+        smooth = scipy.interpolate.make_interp_spline(
+            knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE
+        )
+        return np.asarray(4.0 * math.pi * smooth(np.log(k)) / k**2)
+
+    return waves_of(vectors, largest, chi)
+
+
+def waves_of(vectors: np.ndarray, largest: float, chi: Callable[[np.ndarray], np.ndarray]) -> Waves:
+    """Return the waves up to a wave number; `chi` is a function of wave numbers, (n,)."""
     counts = count_waves(vectors, largest)
     reciprocal = 2.0 * math.pi * np.linalg.inv(vectors).T
     numbers = [np.arange(-n, n + 1.0) for n in counts]
@@ -64,17 +78,10 @@ def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -
         parts = [n * b for n, b in zip(numbers, reciprocal[:, d], strict=True)]
         k2 += (parts[0][:, None, None] + parts[1][:, None] + parts[2]) ** 2
     used = (k2 > 0.0) & (k2 <= largest**2)
-    chi = np.zeros_like(k2)
+    values = np.zeros_like(k2)
     if used.any():
-        k2 = k2[used]
-        # As a function of log k it is smooth, which it is not at k = 0.
-        knots = np.linspace(0.5 * math.log(k2.min()) - 0.1, math.log(largest) + 0.1, _KNOTS)
-        smooth = scipy.interpolate.make_interp_spline(
-            knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE
-        )
-        unit = 4.0 * math.pi / abs(np.linalg.det(vectors))
-        chi[used] = unit * smooth(0.5 * np.log(k2)) / k2
-    return Waves(counts, reciprocal, chi)
+        values[used] = chi(np.sqrt(k2[used])) / abs(np.linalg.det(vectors))
+    return Waves(counts, reciprocal, values)
 
 
 class Precision(NamedTuple):

@@ -1,0 +1,74 @@
+"""The smooth part of the kernel in free space, as waves of a box in which sources are alone.
+
+It is ``(I lap - grad grad) h(r)``, where h(r) is the smooth part of Ewald's split,
+``R erf(xi R) + exp(-xi^2 R^2) / (sqrt(pi) xi)`` with R^2 = r^2 + epsilon^2. A window leaves h as it
+is where targets and sources are, and ends it before the next image of the box (F. Vico et al., J.
+Comput. Phys. 323, 2016, end it at once). Since h is about R, the parabola in r that touches R amid
+the edge of the window is taken off before: what the window changes is small then. A parabola
+``a + b r^2`` is but a uniform flow, ``4 b`` times the force.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from treecode.methods.ewald.long_part import Waves, waves_of
+
+_MARGIN = 30.0  # by how much less than a tolerance the edge of a window changes
+_NODES, _FEWEST = 4.0, 20  # of the trapezoidal rule, for each oscillation, and besides
+_KNOTS, _DEGREE = 32.0, 7  # of the spline of the transform, for each oscillation
+
+
+class Box(NamedTuple):
+    """A box around targets and sources, so large that its images are beyond a window.
+
+    Attributes
+    ----------
+    corner, lengths : (3,) float64
+        Its lowest corner, and its edges, along the axes.
+    middle, edge : float
+        Where the window falls to a half, and how far from there it is whole or nothing.
+    steepness : float
+        An inverse length.
+    """
+
+    corner: np.ndarray
+    lengths: np.ndarray
+    middle: float
+    edge: float
+    steepness: float
+
+
+def box_around(sources: np.ndarray, targets: np.ndarray, largest: float, tol: float) -> Box:
+    """Return a box around points, (3, n) and (3, M), for waves up to a wave number."""
+    some = sources if sources.size else targets
+    low, high = some.min(axis=1), some.max(axis=1)
+    first, last = targets.min(axis=1), targets.max(axis=1)
+    extent = np.maximum(high - first, last - low)
+    sharp = math.log(_MARGIN / tol)
+    edge, reach = 2.0 * sharp / largest, float(np.linalg.norm(extent))
+    lengths = extent + reach + 2.0 * edge
+    return Box(np.minimum(low, first), lengths, reach + edge, edge, math.sqrt(sharp) / edge)
+
+
+def free_waves(box: Box, epsilon: float, xi: float, largest: float) -> tuple[Waves, float]:
+    """Return the smooth part of a split: waves up to a wave number, and the uniform flow besides.
+
+    The latter is that of a unit of force.
+    """
+    end, touching = box.middle + box.edge, math.hypot(box.middle, epsilon)
+    step = 2.0 * math.pi / end  # of wave numbers, for one more oscillation
+    r = end * np.linspace(0.0, 1.0, math.ceil(_NODES * largest / step) + _FEWEST)
+    R = np.hypot(r, epsilon)
+    h = R * scipy.special.erf(xi * R) + np.exp(-((xi * R) ** 2)) / (math.sqrt(math.pi) * xi)
+    h -= touching + 0.5 * (r**2 - box.middle**2) / touching
+    window = 0.5 * scipy.special.erfc(box.steepness * (r - box.middle))
+    k = step / _KNOTS * np.arange(-_DEGREE, _KNOTS * largest / step + _DEGREE)
+    transform = np.sinc(np.outer(k, r) / math.pi) @ (4.0 * math.pi * r[1] * r**2 * window * h)
+    smooth = scipy.interpolate.make_interp_spline(k, transform, _DEGREE)
+    waves = waves_of(np.diag(box.lengths), largest, lambda k: -0.5 * k**2 * smooth(k))
+    return waves, 2.0 / touching
