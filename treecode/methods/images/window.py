@@ -62,13 +62,25 @@ def free_waves(box: Box, epsilon: float, xi: float, largest: float) -> tuple[Wav
     """
     end, touching = box.middle + box.edge, math.hypot(box.middle, epsilon)
     step = 2.0 * math.pi / end  # of wave numbers, for one more oscillation
-    r = end * np.linspace(0.0, 1.0, math.ceil(_NODES * largest / step) + _FEWEST)
-    R = np.hypot(r, epsilon)
-    h = R * scipy.special.erf(xi * R) + np.exp(-((xi * R) ** 2)) / (math.sqrt(math.pi) * xi)
-    h -= touching + 0.5 * (r**2 - box.middle**2) / touching
-    window = 0.5 * scipy.special.erfc(box.steepness * (r - box.middle))
+    r = end * np.linspace(0.0, 1.0, math.ceil(_NODES * largest / step) + _FEWEST)[1:]
+    density = 2.0 * math.pi * r[0] * r**2 * _laplacian(r, box, epsilon, xi, touching)
     k = step / _KNOTS * np.arange(-_DEGREE, _KNOTS * largest / step + _DEGREE)
-    transform = np.sinc(np.outer(k, r) / math.pi) @ (4.0 * math.pi * r[1] * r**2 * window * h)
-    smooth = scipy.interpolate.make_interp_spline(k, transform, _DEGREE)
-    waves = waves_of(np.diag(box.lengths), largest, lambda k: -0.5 * k**2 * smooth(k))
-    return waves, 2.0 / touching
+    chi = np.sinc(np.outer(k, r) / math.pi) @ density
+    smooth = scipy.interpolate.make_interp_spline(k, chi, _DEGREE)
+    return waves_of(np.diag(box.lengths), largest, smooth), 2.0 / touching
+
+
+def _laplacian(r: np.ndarray, box: Box, epsilon: float, xi: float, touching: float) -> np.ndarray:
+    """Return the Laplacian of the window times h less the parabola, at distances r > 0.
+
+    Roundings of a transform of the product itself would grow by the square of the wave number.
+    """
+    R = np.hypot(r, epsilon)
+    gaussian, a = np.exp(-((xi * R) ** 2)) / math.sqrt(math.pi), scipy.special.erf(xi * R) / R
+    h = R**2 * a + gaussian / xi - touching - 0.5 * (r**2 - box.middle**2) / touching
+    slope = r * (a - 1.0 / touching)
+    bend = 3.0 * (a - 1.0 / touching) + (r / R) ** 2 * (2.0 * xi * gaussian - a)
+    x = box.steepness * (r - box.middle)
+    window = 0.5 * scipy.special.erfc(x)
+    falling = -box.steepness / math.sqrt(math.pi) * np.exp(-(x**2))
+    return np.asarray(window * bend + 2.0 * falling * (slope + h * (1.0 / r - box.steepness * x)))
