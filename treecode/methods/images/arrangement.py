@@ -9,7 +9,7 @@ import numpy as np
 
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.ewald.long_part import count_waves
-from treecode.methods.ewald.slab import span_of
+from treecode.methods.ewald.slab import Span, span_of
 from treecode.methods.ewald.summation import scaled_task
 from treecode.methods.ewald.tuning import SPLITS, Split, Task, seconds_of_waves, split_at
 from treecode.methods.images.window import Box, box_around
@@ -28,26 +28,29 @@ class Arrangement(NamedTuple):
     unit : float
         This edge.
     task : Task
+    span : Span or None
+        Of the points of a slab.
     split : Split
+    box : Box
+        Around sources and targets below.
     places : Wrapped
     numbers : (n,) int64
         Of which source each near image is one.
     sources, targets : (3, n) and (3, M) float64
         Near images, and targets in their midst; the same array if there are no other images.
-    box : Box
-        Around both.
     seconds : float
         On one thread, of waves and of sources of the free sum.
     """
 
     unit: float
     task: Task
+    span: Span | None
     split: Split
+    box: Box
     places: Wrapped
     numbers: np.ndarray
     sources: np.ndarray
     targets: np.ndarray
-    box: Box
     seconds: float
 
     def free_points(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -71,7 +74,31 @@ def arrange(
     scaled = sources / unit
     places = Wrapped(task.vectors, scaled, scaled if targets is sources else targets / unit)
     split = split_at(task, xi * unit) if xi else _cheapest_split(task, places)
-    return _arranged(unit, task, split, places)
+    ends = Span(span.low / unit, span.high / unit) if kernel.is_slab else None
+    numbers, near, there = _near(task, places, split)
+    box = box_around(near, there, split.wave_number, tol)
+    seconds = _seconds(task, split, box, len(numbers))
+    return Arrangement(unit, task, ends, split, box, places, numbers, near, there, seconds)
+
+
+def _near(
+    task: Task, places: Wrapped, split: Split, every: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return numbers of near images, their places, and those of targets in their midst.
+
+    Both are one array if they are the same. Images are those of one of so many sources.
+    """
+    numbers, near = places.near(split.distance, every)
+    alone = np.array_equal(numbers, np.arange(task.sources))
+    same = alone and places.targets is places.sources
+    return numbers, near, near if same else task.vectors.T @ places.targets
+
+
+def _seconds(task: Task, split: Split, box: Box, near: int) -> float:
+    """Return what waves take, and sources of the free sum."""
+    waves = count_waves(np.diag(box.lengths), split.wave_number)
+    of_near = seconds_of_waves(task.size, task.tol, waves, near + task.targets)
+    return _seconds_of_cell(task, split) + of_near + _SOURCE * near
 
 
 def _cheapest_split(task: Task, places: Wrapped) -> Split:
@@ -83,28 +110,13 @@ def _cheapest_split(task: Task, places: Wrapped) -> Split:
         # Waves become more and more, images fewer and fewer.
         if best and _seconds_of_cell(task, split) >= least:
             break
-        seconds = _arranged(1.0, task, split, places, every).seconds
+        numbers, near, there = _near(task, places, split, every)
+        box = box_around(near, there, split.wave_number, task.tol)
+        seconds = _seconds(task, split, box, every * len(numbers))
         if seconds < least:
             best, least = split, seconds
     assert best is not None
     return best
-
-
-def _arranged(
-    unit: float, task: Task, split: Split, places: Wrapped, every: int = 1
-) -> Arrangement:
-    """Return the parts of a sum, for its seconds also with one of so many sources."""
-    numbers, sources = places.near(split.distance, every)
-    alone = np.array_equal(numbers, np.arange(task.sources))
-    targets = (
-        sources if alone and places.targets is places.sources else task.vectors.T @ places.targets
-    )
-    box = box_around(sources, targets, split.wave_number, task.tol)
-    waves = count_waves(np.diag(box.lengths), split.wave_number)
-    count = every * len(numbers)
-    seconds = _seconds_of_cell(task, split) + _SOURCE * count
-    seconds += seconds_of_waves(task.size, task.tol, waves, count + task.targets)
-    return Arrangement(unit, task, split, places, numbers, sources, targets, box, seconds)
 
 
 def _seconds_of_cell(task: Task, split: Split) -> float:

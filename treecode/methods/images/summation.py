@@ -14,7 +14,7 @@ import numpy as np
 
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.ewald.long_part import Transforms, make_waves, precision_for
-from treecode.methods.ewald.slab import PlaneFlow, Span
+from treecode.methods.ewald.slab import PlaneFlow
 from treecode.methods.ewald.summation import scaled_weights
 from treecode.methods.fmm.summation import FastMultipole
 from treecode.methods.images.arrangement import arrange
@@ -42,6 +42,7 @@ class NearImages:
         self.tol: float = parameters["tol"]
         self.xi: float = parameters.get("xi", 0.0)
         of_free = {name: parameters[name] for name in ("tol", "width") if name in parameters}
+        self._made_for: tuple[Any, ...] = ()
         self._free = FastMultipole(kernel.free, of_free, progress)
 
     @property
@@ -60,17 +61,21 @@ class NearImages:
             return
         with self.seconds.stage("images"):
             self._parts = arrange(self.kernel, self.sources, self.targets, self.tol, self.xi)
-            unit, task, split = self._parts[:3]
-            self.xi = split.xi / unit
-            ends = split.xi, split.wave_number
-            self._waves = make_waves(task.vectors, task.epsilon, *ends)
-            self._free_waves, self._uniform = free_waves(self._parts.box, task.epsilon, *ends)
-            self._plane = None
-            if self.kernel.is_slab:
-                low, high = (f(self.targets[2].min(), self.sources[2].min()) for f in (min, max))
-                self._plane = PlaneFlow(task.vectors, Span(low / unit, high / unit), task.epsilon)
+            self.xi = self._parts.split.xi / self._parts.unit
+            self._make_waves()
         self._free.set_points(*self._parts.free_points())
         self.seconds |= self._free.seconds
+
+    def _make_waves(self) -> None:
+        """Make what serves as long as the cell and the size of the box stay."""
+        _, task, span, split, box = self._parts[:5]
+        made_for = task.vectors.tobytes(), task.epsilon, split, box.lengths.tobytes(), span
+        if made_for != self._made_for:
+            ends = split.xi, split.wave_number
+            self._waves = make_waves(task.vectors, task.epsilon, *ends)
+            self._free_waves, self._uniform = free_waves(box, task.epsilon, *ends)
+            self._plane = PlaneFlow(task.vectors, span, task.epsilon) if span else None
+            self._made_for = made_for
 
     def execute(self, strengths: np.ndarray) -> np.ndarray:
         """Return the sum, (M, value_size), of strengths (N, strength_size)."""

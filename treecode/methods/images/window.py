@@ -19,6 +19,7 @@ import scipy
 from treecode.methods.ewald.long_part import Waves, waves_of
 
 _MARGIN = 30.0  # by how much less than a tolerance the edge of a window changes
+_STEP = 2.0**-5  # of lengths, so that waves serve for a while
 _NODES, _FEWEST = 4.0, 20  # of the trapezoidal rule, for each oscillation, and besides
 _KNOTS, _DEGREE = 32.0, 7  # of the spline of the transform, for each oscillation
 
@@ -48,7 +49,7 @@ def box_around(sources: np.ndarray, targets: np.ndarray, largest: float, tol: fl
     some = sources if sources.size else targets
     low, high = some.min(axis=1), some.max(axis=1)
     first, last = targets.min(axis=1), targets.max(axis=1)
-    extent = np.maximum(high - first, last - low)
+    extent = np.ceil(np.maximum(high - first, last - low) / _STEP) * _STEP
     sharp = math.log(_MARGIN / tol)
     edge, reach = 2.0 * sharp / largest, float(np.linalg.norm(extent))
     lengths = extent + reach + 2.0 * edge
