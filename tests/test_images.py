@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import treecode as tc
-from tests.cases.ewald_oracle import lattice_sum, plane_sum, wave_sum
+from tests.cases.ewald_oracle import lattice_sum, wave_sum
 from tests.test_ewald import CUBE, KINDS, SHEARED, each_cell, each_kind, error, periodic, some
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.images.wrapping import Wrapped
@@ -73,30 +73,36 @@ def test_it_is_the_sum_over_waves_of_the_blob(cell):
         assert error(values, flow) < 1e-10
 
 
-def test_in_a_slab_it_is_the_sum_over_a_plane_of_images():
-    """To what the oracle leaves out; see `test_slabs`."""
-    points, q = some(KINDS[1], CUBE, 4)
-    q[:, :3] -= q[:, :3].mean(axis=0)
-    targets = points[:2] + 0.05
-    exact = plane_sum(0.1, LAYER, points, q, targets, 8.0)
-    kernel = PeriodicKernel(KINDS[1](0.1), LAYER)
-    assert error(summed(kernel, points, q, targets, tol=1e-10), exact) < 1e-6
+CASES = [  # points, cell, tolerances: few where many images are near
+    ("uniform", CUBE, (1e-4,)),
+    ("uniform", SHEARED, (1e-3,)),
+    ("corner", SHEARED, (1e-3, 1e-5, 1e-10)),
+    ("sphere", CUBE, (1e-3, 1e-6)),
+    ("two clumps", CUBE, (1e-5, 1e-10)),
+    ("two clumps", LAYER, (1e-5, 1e-10)),
+]
 
 
 @each_kind
-@pytest.mark.parametrize("points", SETS)
-@pytest.mark.parametrize("cell", [CUBE, SHEARED, LAYER], ids=["cube", "sheared", "slab"])
-def test_it_keeps_a_tolerance(kind, points, cell):
-    """At the sources, and at other targets, most of which are far from any clump."""
-    points = SETS[points](300) @ (np.array(cell) if len(cell) == 3 else np.eye(3))
-    rng = np.random.default_rng(4)
-    q = rng.standard_normal((len(points), kind.strength_size))
+@pytest.mark.parametrize(("points", "cell", "tolerances"), CASES)
+def test_it_keeps_a_tolerance(kind, points, cell, tolerances):
+    points = SETS[points](200)
+    q = np.random.default_rng(4).standard_normal((len(points), kind.strength_size))
     kernel = PeriodicKernel(kind(0.01), tuple(map(tuple, np.array(cell).tolist())))
-    apart = rng.random((50, 3)) + 3.0
-    for targets in (None, apart):
-        exact = tc.evaluate(kernel, points, q, targets, backend="direct")
-        for tol in (1e-3, 1e-5, 1e-10):
-            assert error(summed(kernel, points, q, targets, tol=tol), exact) <= tol
+    exact = tc.evaluate(kernel, points, q, backend="direct")
+    for tol in tolerances:
+        assert error(summed(kernel, points, q, tol=tol), exact) <= tol
+
+
+@each_kind
+def test_at_targets_apart_it_keeps_a_tolerance(kind):
+    """Most of them are far from the clump, and a few cells away."""
+    points, targets = ball(200, 0.1), 0.3 * np.random.default_rng(8).random((50, 3)) + 3.1
+    q = np.random.default_rng(4).standard_normal((len(points), kind.strength_size))
+    kernel = periodic(kind, 0.01, CUBE)
+    exact = tc.evaluate(kernel, points, q, targets, backend="direct")
+    for tol in (1e-3, 1e-5, 1e-10):
+        assert error(summed(kernel, points, q, targets, tol=tol), exact) <= tol
 
 
 def test_with_a_tree_it_keeps_a_tolerance():
@@ -113,7 +119,7 @@ def test_with_a_tree_it_keeps_a_tolerance():
 @each_kind
 def test_lattice_and_not_cell_matters(kind):
     """Another basis, points in other images, all points moved: nothing but the last bits change."""
-    points, q = some(kind, SHEARED)
+    points, q = ball(60, 0.2), some(kind, SHEARED)[1]
     values = summed(periodic(kind, 0.02, SHEARED), points, q, tol=1e-10)
     basis = np.array([[1, 1, 0], [0, 1, -1], [0, 0, 1]])
     other = summed(periodic(kind, 0.02, basis @ SHEARED), points, q, tol=1e-10)
@@ -127,7 +133,7 @@ def test_lattice_and_not_cell_matters(kind):
 
 @pytest.mark.parametrize(("length", "load"), [(1e-6, 1e12), (3e40, 1e-30)])
 def test_any_units(length, load):
-    points, q = some(KINDS[1], SHEARED)
+    points, q = ball(60, 0.2), some(KINDS[1], SHEARED)[1]
     lengths = np.array(KINDS[1].value_lengths, float)
     scaled = q * load * length ** np.array(KINDS[1].weight_lengths, float)
     kernel = periodic(KINDS[1], 0.1 * length, length * SHEARED)
@@ -200,7 +206,7 @@ def test_plans_keep_a_tolerance(kind):
 @each_kind
 def test_a_choice_sums_to_the_same_bits(kind):
     """On any number of threads, and after its way through JSON at other points."""
-    points, q = some(kind, SHEARED, 1000)
+    points, q = ball(1000, 0.2), some(kind, SHEARED, 1000)[1]
     kernel = periodic(kind, 0.02, SHEARED)
     plan = tc.Plan(kernel, "images", tol=1e-5).set_points(points)
     values = plan.execute(q)
@@ -218,7 +224,7 @@ def test_a_choice_sums_to_the_same_bits(kind):
 
 def test_ranks_share_a_sum(on_ranks):
     """All have the same values, within the tolerance."""
-    points, q = some(KINDS[0], SHEARED, 300)
+    points, q = ball(300, 0.2), some(KINDS[0], SHEARED, 300)[1]
     kernel = periodic(KINDS[0], 0.02, SHEARED)
     exact = tc.evaluate(kernel, points, q, backend="direct")
 

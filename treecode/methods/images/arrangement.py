@@ -76,7 +76,7 @@ def arrange(
     split = split_at(task, xi * unit) if xi else _cheapest_split(task, places)
     ends = Span(span.low / unit, span.high / unit) if kernel.is_slab else None
     numbers, near, there = _near(task, places, split)
-    box = box_around(near, there, split.wave_number, tol)
+    box = box_around(near, there, task, split)
     seconds = _seconds(task, split, box, len(numbers))
     return Arrangement(unit, task, ends, split, box, places, numbers, near, there, seconds)
 
@@ -111,7 +111,7 @@ def _cheapest_split(task: Task, places: Wrapped) -> Split:
         if best and _seconds_of_cell(task, split) >= least:
             break
         numbers, near, there = _near(task, places, split, every)
-        box = box_around(near, there, split.wave_number, task.tol)
+        box = box_around(near, there, task, split)
         seconds = _seconds(task, split, box, every * len(numbers))
         if seconds < least:
             best, least = split, seconds

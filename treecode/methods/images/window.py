@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 
 from treecode.methods.ewald.long_part import Waves, waves_of
+from treecode.methods.ewald.tuning import Split, Task
 
 _MARGIN = 30.0  # by how much less than a tolerance the edge of a window changes
 _STEP = 2.0**-5  # of lengths, so that waves serve for a while
@@ -44,14 +45,18 @@ class Box(NamedTuple):
     steepness: float
 
 
-def box_around(sources: np.ndarray, targets: np.ndarray, largest: float, tol: float) -> Box:
-    """Return a box around points, (3, n) and (3, M), for waves up to a wave number."""
+def box_around(sources: np.ndarray, targets: np.ndarray, task: Task, split: Split) -> Box:
+    """Return a box around points, (3, n) and (3, M), for the waves of a split.
+
+    Spins that torques drive are second derivatives. So is what the window changes, but wide blobs
+    make the spins small.
+    """
     some = sources if sources.size else targets
     low, high = some.min(axis=1), some.max(axis=1)
     first, last = targets.min(axis=1), targets.max(axis=1)
     extent = np.ceil(np.maximum(high - first, last - low) / _STEP) * _STEP
-    sharp = math.log(_MARGIN / tol)
-    edge, reach = 2.0 * sharp / largest, float(np.linalg.norm(extent))
+    sharp = math.log(_MARGIN * (1.0 + (task.epsilon * split.wave_number) ** 2) / task.tol)
+    edge, reach = 2.0 * sharp / split.wave_number, float(np.linalg.norm(extent))
     lengths = extent + reach + 2.0 * edge
     return Box(np.minimum(low, first), lengths, reach + edge, edge, math.sqrt(sharp) / edge)
 
