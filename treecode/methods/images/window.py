@@ -48,14 +48,14 @@ class Box(NamedTuple):
 def box_around(sources: np.ndarray, targets: np.ndarray, task: Task, split: Split) -> Box:
     """Return a box around points, (3, n) and (3, M), for the waves of a split.
 
-    Spins that torques drive are second derivatives. So is what the window changes, but wide blobs
-    make the spins small.
+    Flows are second derivatives of h, small where sources are far away and where blobs are wide.
+    Those of what the window changes are not small.
     """
     some = sources if sources.size else targets
     low, high = some.min(axis=1), some.max(axis=1)
     first, last = targets.min(axis=1), targets.max(axis=1)
     extent = np.ceil(np.maximum(high - first, last - low) / _STEP) * _STEP
-    sharp = math.log(_MARGIN * (1.0 + (task.epsilon * split.wave_number) ** 2) / task.tol)
+    sharp = math.log(_MARGIN * (1.0 + split.wave_number**2) / task.tol)
     edge, reach = 2.0 * sharp / split.wave_number, float(np.linalg.norm(extent))
     lengths = extent + reach + 2.0 * edge
     return Box(np.minimum(low, first), lengths, reach + edge, edge, math.sqrt(sharp) / edge)
