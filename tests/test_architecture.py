@@ -68,6 +68,15 @@ ALLOWED = {
         "treecode.methods.base", "treecode.methods.ewald", "treecode.ranks", "treecode.threads",
         "treecode.timing", "treecode.traversal",
     },
+    "treecode.methods.images.wrapping": {"treecode.kernels.periodic"},
+    "treecode.methods.images.window": {
+        "treecode.methods.ewald.long_part", "treecode.methods.ewald.tuning",
+    },
+    "treecode.methods.images": {
+        "treecode.check", "treecode.kernels.base", "treecode.kernels.periodic",
+        "treecode.methods.base", "treecode.methods.ewald", "treecode.methods.fmm",
+        "treecode.methods.images", "treecode.ranks", "treecode.threads", "treecode.timing",
+    },
     "treecode.methods.kitc": {
         "treecode._jit", "treecode._lanes", "treecode.kernels.base", "treecode.methods.treecode",
         "treecode.pairs", "treecode.tree",

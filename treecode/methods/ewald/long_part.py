@@ -34,8 +34,8 @@ class Waves(NamedTuple):
     reciprocal : (3, 3) float64
         Reciprocal vectors, in rows, with the factor 2 pi.
     chi : (counts[0] + 1, 2 counts[1] + 1, 2 counts[2] + 1) float64
-        4 pi / k^2 times the multiplier, over the volume; of half of the waves, which the conjugates
-        of the others are.
+        Half of what a force drives across a wave, over the volume: of the smooth part 4 pi / k^2
+        times the multiplier. Of half of the waves, which the conjugates of the others are.
     """
 
     counts: np.ndarray
@@ -55,6 +55,20 @@ def count_waves(vectors: np.ndarray, largest: float) -> np.ndarray:
 
 def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -> Waves:
     """Return the waves up to a wave number, for the smooth part of a split."""
+
+    def chi(k: np.ndarray) -> np.ndarray:
+        # As a function of log k it is smooth, which it is not at k = 0.
+        knots = np.linspace(math.log(k.min()) - 0.1, math.log(largest) + 0.1, _KNOTS)
+        smooth = scipy.interpolate.make_interp_spline(
+            knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE
+        )
+        return np.asarray(4.0 * math.pi * smooth(np.log(k)) / k**2)
+
+    return waves_of(vectors, largest, chi)
+
+
+def waves_of(vectors: np.ndarray, largest: float, chi: Callable[[np.ndarray], np.ndarray]) -> Waves:
+    """Return the waves up to a wave number; `chi` is a function of wave numbers, (n,)."""
     counts = count_waves(vectors, largest)
     reciprocal = 2.0 * math.pi * np.linalg.inv(vectors).T
     numbers = [np.arange(-n, n + 1.0) for n in counts]
@@ -64,17 +78,10 @@ def make_waves(vectors: np.ndarray, epsilon: float, xi: float, largest: float) -
         parts = [n * b for n, b in zip(numbers, reciprocal[:, d], strict=True)]
         k2 += (parts[0][:, None, None] + parts[1][:, None] + parts[2]) ** 2
     used = (k2 > 0.0) & (k2 <= largest**2)
-    chi = np.zeros_like(k2)
+    values = np.zeros_like(k2)
     if used.any():
-        k2 = k2[used]
-        # As a function of log k it is smooth, which it is not at k = 0.
-        knots = np.linspace(0.5 * math.log(k2.min()) - 0.1, math.log(largest) + 0.1, _KNOTS)
-        smooth = scipy.interpolate.make_interp_spline(
-            knots, multiplier(np.exp(knots), epsilon, xi), _DEGREE
-        )
-        unit = 4.0 * math.pi / abs(np.linalg.det(vectors))
-        chi[used] = unit * smooth(0.5 * np.log(k2)) / k2
-    return Waves(counts, reciprocal, chi)
+        values[used] = chi(np.sqrt(k2[used])) / abs(np.linalg.det(vectors))
+    return Waves(counts, reciprocal, values)
 
 
 class Precision(NamedTuple):
@@ -137,6 +144,63 @@ def _transform(
     angles = (2.0 * math.pi * places - math.pi).astype(data.real.dtype, copy=False)
     options |= {"eps": precision.error, "upsampfac": precision.factor, "nthreads": 1}
     return np.asarray(function(*angles, data, **options))
+
+
+class Transforms:
+    """The smooth flow of some weights: to waves and back, one transform after the other.
+
+    Parameters
+    ----------
+    waves : Waves
+    precision : Precision
+    weights : (3 or 6, N) float64
+        Forces, and torques.
+    sources, targets : (3, N) and (3, M) float64
+        In parts of lattice vectors.
+
+    Attributes
+    ----------
+    count : int
+        Calls of `forward` and of `backward`, in any order, on any threads.
+    rows : int
+        Of waves, to which `apply` applies the kernel between them.
+    """
+
+    def __init__(
+        self,
+        waves: Waves,
+        precision: Precision,
+        weights: np.ndarray,
+        sources: np.ndarray,
+        targets: np.ndarray,
+    ) -> None:
+        self._waves, self._precision = waves, precision
+        self._weights, self._sources, self._targets = weights, sources, targets
+        self.count, self.rows = -(-len(weights) // 2), int(waves.counts[0]) + 1
+        self._modes: np.ndarray = np.zeros((self.count, *waves.shape), precision.dtype)
+        self._smooth: np.ndarray = np.empty((self.count, targets.shape[1]), precision.dtype)
+
+    def forward(self, t: int) -> None:
+        """Turn two components of the weights into waves."""
+        real, *imaginary = self._weights[2 * t : 2 * t + 2]
+        pair = real + 1j * (imaginary[0] if imaginary else 0.0)
+        self._modes[t] = to_waves(self._sources, pair, self._waves.shape, self._precision)
+
+    def apply(self, rows: slice) -> None:
+        """Turn some waves of the weights into those of their flow."""
+        waves = self._waves
+        of_waves = waves.counts, waves.reciprocal, waves.chi
+        apply_flow(self._modes, *of_waves, rows.start, rows.stop)
+
+    def backward(self, t: int) -> None:
+        """Turn the waves of two components of the flow into values at the targets."""
+        self._smooth[t] = from_waves(self._targets, self._modes[t], self._precision)
+
+    def add_to(self, values: np.ndarray, order: np.ndarray | slice) -> None:
+        """Add the flow to some rows of values, (M, 3 or 6), one for each target."""
+        for c in range(values.shape[1]):
+            part = self._smooth[c // 2]
+            values[order, c] += part.imag if c % 2 else part.real
 
 
 @compiled

@@ -11,13 +11,7 @@ import numpy as np
 
 from treecode.kernels.periodic import PeriodicKernel
 from treecode.methods.ewald.cells import crowding, find_groups, make_grid, sort_points
-from treecode.methods.ewald.long_part import (
-    apply_flow,
-    from_waves,
-    make_waves,
-    precision_for,
-    to_waves,
-)
+from treecode.methods.ewald.long_part import Transforms, make_waves, precision_for
 from treecode.methods.ewald.short_part import ShortStokeslet, ShortStokesletRotlet, sum_neighbours
 from treecode.methods.ewald.slab import PlaneFlow, Span, padded, span_of
 from treecode.methods.ewald.tuning import (
@@ -124,61 +118,33 @@ class Ewald:
             return values
         with Threads(self._progress) as threads:
             with self.seconds.stage("weights"):
-                weights, unit = self._weights(strengths, threads)
+                weights, unit = scaled_weights(
+                    self.kernel, strengths, self.source_order, self._unit, threads
+                )
             self._sum(weights, values, threads)
         lengths = np.array(self.kernel.value_lengths, float)
         values *= unit * self._unit**-lengths
         return values
-
-    def _weights(self, strengths: np.ndarray, threads: Threads) -> tuple[np.ndarray, float]:
-        """Return sorted weights, (weight_size, N), and the unit that they are in besides lengths.
-
-        Singles hold nothing below 1e-38, nor above 1e38.
-        """
-        free = self.kernel.free
-        weights = np.empty((free.weight_size, len(strengths)))
-        load_weights(free, strengths, self.source_order, weights, threads)
-        weights *= self._unit ** -np.array(free.weight_lengths, float)[:, None]
-        unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
-        weights /= unit
-        return weights, unit
 
     def _sum(self, weights: np.ndarray, values: np.ndarray, threads: Threads) -> None:
         """Add both parts to `values`, (M, value_size).
 
         There are few transforms, each on one thread: the others sum pairs meanwhile.
         """
-        waves, precision = self._waves, precision_for(self.tol)
-        transforms = -(-len(weights) // 2)
-        modes: np.ndarray = np.zeros((transforms, *waves.shape), precision.dtype)
-        smooth: np.ndarray = np.empty((transforms, len(values)), precision.dtype)
-
-        def forward(t: int) -> None:
-            real, *imaginary = weights[2 * t : 2 * t + 2]
-            pair = real + 1j * (imaginary[0] if imaginary else 0.0)
-            modes[t] = to_waves(self._sources.places, pair, waves.shape, precision)
-
-        def apply(some: slice) -> None:
-            of_waves = waves.counts, waves.reciprocal, waves.chi
-            apply_flow(modes, *of_waves, some.start, some.stop)
-
-        def backward(t: int) -> None:
-            smooth[t] = from_waves(self._targets.places, modes[t], precision)
+        places = self._sources.places, self._targets.places
+        waves = Transforms(self._waves, precision_for(self.tol), weights, *places)
+        pairs: list[int] = []
 
         def sum_pairs(groups: np.ndarray) -> None:
             pairs.append(self._sum_pairs(weights, groups, values))
 
-        pairs: list[int] = []
-
         groups = np.array_split(self._groups, max(2, len(self._groups) // _GROUPS))
         half = len(groups) // 2
-        self._share(threads, forward, transforms, sum_pairs, groups[:half])
+        self._share(threads, waves.forward, waves.count, sum_pairs, groups[:half])
         with self.seconds.stage("waves", more=True):
-            threads(apply, int(waves.counts[0]) + 1)
-        self._share(threads, backward, transforms, sum_pairs, groups[half:])
-        for c in range(values.shape[1]):
-            part = smooth[c // 2]
-            values[self.target_order, c] += part.imag if c % 2 else part.real
+            threads(waves.apply, waves.rows)
+        self._share(threads, waves.backward, waves.count, sum_pairs, groups[half:])
+        waves.add_to(values, self.target_order)
         if self._plane:
             sources, targets = self.sources[2] / self._unit, self.targets[2] / self._unit
             values[self.target_order] += self._plane(weights, sources, targets)
@@ -263,3 +229,23 @@ def scaled_task(
     scale = np.abs(vectors).max()
     unit = float(scale * abs(np.linalg.det(vectors / scale)) ** (1.0 / 3.0))
     return unit, Task(vectors / unit, free.epsilon / unit, free.value_size, sources, targets, tol)
+
+
+def scaled_weights(
+    kernel: PeriodicKernel,
+    strengths: np.ndarray,
+    order: np.ndarray,
+    length: float,
+    threads: Threads,
+) -> tuple[np.ndarray, float]:
+    """Return weights in an order, (weight_size, N), in a unit of length, and another unit of them.
+
+    It is a power of two: singles hold nothing below 1e-38, nor above 1e38.
+    """
+    free = kernel.free
+    weights = np.empty((free.weight_size, len(strengths)))
+    load_weights(free, strengths, order, weights, threads)
+    weights *= length ** -np.array(free.weight_lengths, float)[:, None]
+    unit = math.ldexp(0.5, math.frexp(max(weights.max(), -weights.min()))[1])
+    weights /= unit
+    return weights, unit

@@ -20,8 +20,7 @@ _SINGLE = 3e-6  # tolerance from which pairs are summed in singles,
 _SINGLE_UNIT = 2.0**-24  # whose rounding the kernel has to bear
 _SAMPLES = 400  # distances, and wave numbers, at which tails are integrated
 _LONGEST = 0.76 * 2.0 * math.pi  # from this wave number on the integral is the sum over a cube
-_SPLITS = tuple(2.0 ** (0.25 * n) for n in range(4, 41))  # that are tried, from the first,
-_WORSE = 5  # until so many in a row were no better than the best
+SPLITS = tuple(2.0 ** (0.25 * n) for n in range(4, 41))  # that are tried, from the first
 
 # Seconds on one thread of an EPYC (Zen 3, AVX2), of which ratios matter; no clock is asked, or a
 # choice would depend on it. Of a pair by values and bytes of a number, with what is done around it;
@@ -128,24 +127,30 @@ def seconds_of(task: Task, split: Split, crowding: float = 1.0) -> tuple[float, 
     pairs = (
         _PAIR[task.size, itemsize] * task.targets * pairs_of_a_target(split.distance, *densities)
     )
-    precision = precision_for(task.tol)
+    waves = count_waves(task.vectors, split.wave_number)
+    return pairs, seconds_of_waves(task.size, task.tol, waves, task.sources + task.targets)
+
+
+def seconds_of_waves(size: int, tol: float, counts: np.ndarray, points: int) -> float:
+    """Return what waves from -counts to counts take on one thread, of sources and targets."""
+    precision = precision_for(tol)
     spread, grid = _WAVE[np.dtype(precision.dtype).itemsize]
-    waves = 2.0 * count_waves(task.vectors, split.wave_number) + 1.0
-    each = spread * precision.width**3 * (task.sources + task.targets)
+    waves = 2.0 * counts + 1.0
+    each = spread * precision.width**3 * points
     each += 2.0 * grid * float(np.prod(precision.factor * waves + precision.width))
-    return pairs, -(-task.size // 2) * each
+    return -(-size // 2) * each
 
 
 def cheapest_split(task: Task, crowding: Callable[[float], float] = lambda _: 1.0) -> Split:
     """Return the split that should take the least time; `crowding` is that within a distance."""
-    best, least, worse = None, math.inf, 0
-    for xi in _SPLITS:
+    best, least = None, math.inf
+    for xi in SPLITS:
         split = split_at(task, xi)
-        taken = sum(seconds_of(task, split, crowding(split.distance)))
-        if taken < least:
-            best, least, worse = split, taken, 0
-        elif (worse := worse + 1) == _WORSE:
+        pairs, waves = seconds_of(task, split, crowding(split.distance))
+        if waves >= least:  # they become more and more
             break
+        if pairs + waves < least:
+            best, least = split, pairs + waves
     assert best is not None
     return best
 

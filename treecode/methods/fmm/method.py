@@ -109,17 +109,34 @@ class FastMultipoleMethod(Method):
         count = sources.shape[1] + targets.shape[1]
         return [pairs, cubes, count, -count * math.log10(sum_.tol) ** 3], sizes
 
+    def price(
+        self,
+        kernel: Kernel,
+        parameters: Mapping[str, Any],
+        sources: np.ndarray,
+        targets: np.ndarray | None,
+        fitted: Mapping[str, Any],
+        sums: int,
+    ) -> tuple[float, float]:
+        """Return the side of the root, and the seconds of each of so many sums.
+
+        Sources and targets are (3, N), and (3, M) or None if they are the sources.
+        """
+        sum_ = FastMultipole(kernel, parameters, False)
+        amounts, sizes = self.amounts(sum_, sources, sources if targets is None else targets)
+        rates = fitted["seconds"][precision_for(sum_.tol)]
+        seconds = sum(rate * amount for rate, amount in zip(rates, amounts, strict=True))
+        return sum_.width, seconds + self.building_seconds(fitted, sum_.tol, sizes) / sums
+
     def _priced(self, case: Case, offer: Offer, fitted: Mapping[str, Any]) -> Offer:
         """Return an offer with the side of the root, and its seconds; once for each tolerance."""
         known = case.memory.setdefault(self.name, {})
         tol = offer.parameters["tol"]
         if tol not in known:
-            sum_ = FastMultipole(case.kernel, offer.parameters, False)
-            amounts, sizes = self.amounts(sum_, case.sources, case.targets)
-            rates = fitted["seconds"][precision_for(tol)]
-            seconds = sum(rate * amount for rate, amount in zip(rates, amounts, strict=True))
-            seconds += self.building_seconds(fitted, tol, sizes) / case.sums
-            known[tol] = {**offer.parameters, "width": sum_.width}, seconds
+            apart = None if case.targets is case.sources else case.targets
+            points = case.sources, apart
+            width, seconds = self.price(case.kernel, offer.parameters, *points, fitted, case.sums)
+            known[tol] = {**offer.parameters, "width": width}, seconds
         parameters, seconds = known[tol]
         return offer._replace(parameters=parameters, seconds=seconds)
 
