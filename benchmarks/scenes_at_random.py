@@ -31,7 +31,7 @@ def drawn(seed: int) -> tuple[mrs.Fluid, dict[str, Any], float]:
     epsilon = spacing * rng.uniform(1.5, 4.0)
     line = mrs.geometry.helix(length * rng.uniform(0.02, 0.15), length, length, nodes)
     apart = max(rng.uniform(0.2, 1.0) * length, 0.5 * epsilon)
-    origins = mrs.geometry.grid((count, 1), apart) + [0.0, 0.0, 0.1 * length]
+    origins = mrs.geometry.grid((count, 1), apart) + np.array([0.0, 0.0, 0.1 * length])
     bending = length**4 * 10.0 ** rng.uniform(-1.0, 1.5)
     shearing = bending / length**2 * 10.0 ** rng.uniform(1.0, 3.0)
     rods = {

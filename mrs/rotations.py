@@ -110,7 +110,16 @@ def exponential(phi: np.ndarray) -> np.ndarray:
 
 
 def logarithm(q: np.ndarray) -> np.ndarray:
-    """Return the rotation vectors of quaternions, (N, 3), the short way round."""
+    """Return the rotation vectors of quaternions, (N, 3), the short way round.
+
+    Examples
+    --------
+    >>> import mrs
+    >>> import numpy as np
+    >>> quarter = mrs.rotations.exponential(0.5 * np.pi * np.eye(3)[2])
+    >>> print(mrs.rotations.logarithm(quarter).round(4))
+    [0.     0.     1.5708]
+    """
     q = np.where(q[..., 3:] < 0.0, -q, q)
     sine = np.sqrt(np.einsum("...i,...i->...", q[..., :3], q[..., :3]))[..., None]
     half = np.arctan2(sine, q[..., 3:])

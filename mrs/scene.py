@@ -11,7 +11,7 @@ from mrs import check
 from mrs.bodies import Body
 from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
-from mrs.fluid.mobility import Boundary
+from mrs.fluid.mobility import DIRECT, Boundary
 from mrs.forces import Force
 from mrs.linearization import Linearization, linearized
 from mrs.profile import Profile
@@ -263,7 +263,7 @@ class Scene:
     def _mobility_of_proxies(self, epsilons: np.ndarray) -> Mobility:
         """Return the mobility of points with forces alone, by exact sums."""
         yes, no = np.ones(len(epsilons), bool), np.zeros(len(epsilons), bool)
-        numbers, exact = np.zeros(len(epsilons), int), Backend("direct")
+        numbers, exact = np.zeros(len(epsilons), int), Backend(DIRECT)
         of_points = yes, no, no, numbers, exact, self.fluid.boundary, self._comm
         return Mobility(self.fluid.viscosity, epsilons, *of_points)
 

@@ -126,7 +126,8 @@ ALLOWED = {
     },
     "treecode.methods.fmm": {
         "treecode.blas", "treecode.check", "treecode.kernels.base", "treecode.methods.base",
-        "treecode.methods.fmm", "treecode.ranks", "treecode.threads", "treecode.timing", "treecode.traversal",
+        "treecode.methods.fmm", "treecode.ranks", "treecode.threads", "treecode.timing",
+        "treecode.traversal",
     },
     "treecode.methods": {"treecode.methods"},
     "treecode.ranks": set(),

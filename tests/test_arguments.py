@@ -129,7 +129,7 @@ BAD = [
     (lambda: mrs.Steric(-1.0, 1.0), "strength must be .*got -1.0"),
     (lambda: mrs.Steric(1.0, 0.0), "radius must be .*got 0.0"),
     (lambda: mrs.Steric(1.0, 1.0, chi=1.0), "chi must be a number between 1 and .*got 1.0"),
-    (lambda: mrs.Integrator("rk5"), "name must be one of .*'rkc2', got 'rk5'"),
+    (lambda: mrs.Integrator("rk5"), "name must be one of .*'bdf', got 'rk5'"),
     (lambda: mrs.Integrator(dt="never"), "dt must be 'auto' or a positive number, got 'never'"),
     (lambda: mrs.Integrator(dt=0.0), "dt must be .*got 0.0"),
     (lambda: mrs.Integrator(tolerance=1.0), "tolerance must be .*got 1.0"),
