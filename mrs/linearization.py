@@ -125,13 +125,15 @@ class Proxies:
         ]
 
     def _reach(self) -> np.ndarray:
-        """Return the distance to the next proxy, for each: the least size of its blob.
+        """Return about the distance to the next proxy, for each: the least size of its blob.
 
-        Smaller blobs made the approximate mobility of rods close to each other indefinite.
+        Smaller blobs made the approximate mobility of rods close to each other indefinite. Powers
+        of two apart, since each size costs a sum.
         """
         lines = self.places.reshape(-1, _PROXIES, 3)
         steps = np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1)
-        return np.repeat(steps, _PROXIES)
+        sizes = steps.max() * 2.0 ** np.round(np.log2(steps / steps.max()))
+        return np.repeat(sizes, _PROXIES)
 
     def velocities(self, forces: np.ndarray) -> np.ndarray:
         """Return the velocities of nodes, (n, 3), by forces, (n, 3), of other blocks."""

@@ -37,6 +37,7 @@ STAGES = {
     "resistance": "forces where motion is given: iterations, with the sums in them",
     "forces": "of the bodies, and their motion from the motion of the fluid",
     "background": "flow without the bodies",
+    "linearization": "an approximate Jacobian, for implicit steps",
     "integrator": "local coordinates, combinations of stages, step sizes",
     "error samples": "the sums compared with direct ones at a few targets",
     "output": "trajectories, log, checkpoints, progress, and trackers of one's own",

@@ -210,7 +210,7 @@ def test_frames_do_not_shorten_steps():
     other.trackers.append(Often())
     one.run(0.1)
     other.run(0.1)
-    assert len(times) == 100 > 3 * one.stepper.steps
+    assert len(times) == 100 > 2 * one.stepper.steps
     assert other.stepper.steps == one.stepper.steps
     assert other.state.equals(one.state)
 
