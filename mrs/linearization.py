@@ -19,7 +19,8 @@ from mrs.fluid.mobility import Boundary, Mobility
 from mrs.stiffness import Stiffness
 from mrs.time.state import State
 
-_LARGEST = 400  # nodes of a block: its matrix has 36 times the square of that
+LONGEST = 500  # nodes of a piece: factors of longer ones cost more than the sums they save
+_LARGEST = 400  # nodes of pieces in one block: its matrix has 36 times the square of that
 _PRECISION = np.float32  # of factors
 _KEPT = 4  # factorisations
 _PROXIES = 6  # of a piece

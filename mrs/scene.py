@@ -13,7 +13,7 @@ from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
 from mrs.fluid.mobility import DIRECT, Boundary
 from mrs.forces import Force
-from mrs.linearization import Linearization, linearized
+from mrs.linearization import LONGEST, Linearization, linearized
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
@@ -84,8 +84,8 @@ class Scene:
     perturbation : (P + Q, 1) float64 ndarray
         A small displacement of each coordinate; 0 likewise.
     is_stiff : bool
-        Whether an implicit method is worth its while: there are stiff bodies, and no noise, which
-        breaks off the past of a multistep method after each step.
+        Whether an implicit method is worth its while: there are stiff bodies, none too long, and
+        no noise, which breaks off the past of a multistep method after each step.
     longest_step : float
         That resolves the noise of the bodies; infinite without noise.
 
@@ -132,7 +132,9 @@ class Scene:
         self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
         smallest = self.epsilons[layout.has_force].min(initial=np.inf)
-        self.is_stiff = not layout.noisy and any(body.is_stiff for body in self.bodies)
+        stiff = [body for body in self.bodies if body.is_stiff]
+        longest = max((np.bincount(body.pieces()).max() for body in stiff), default=0)
+        self.is_stiff = bool(stiff) and not layout.noisy and longest <= LONGEST
         self.longest_step = layout.longest_step(smallest)
         layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
         self._require_inside(layout.initial_points, 0.0)

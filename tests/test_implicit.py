@@ -302,6 +302,14 @@ def test_swimmers_are_not_stiff():
     assert simulation(swimmers).run(0.5).stepper.method.name == "bs32"
 
 
+@pytest.mark.parametrize("nodes", [500, 501])
+def test_very_long_rods_take_explicit_steps(nodes):
+    """Their matrices would be too large: 3006 rows and columns at 501 nodes."""
+    line = mrs.geometry.straight(10.0, nodes)
+    rod = mrs.Rods(line, bending=1.0, twisting=1.0, shearing=1.0, stretching=1.0)
+    assert simulation(rod).scene.is_stiff == (nodes == 500)
+
+
 def test_logarithm_is_the_inverse_of_the_exponential():
     phi = np.random.default_rng(0).normal(size=(50, 3))
     phi *= np.linspace(0.0, 3.1, 50)[:, None] / np.linalg.norm(phi, axis=1)[:, None]

@@ -27,7 +27,7 @@ _LEAST_RATE, _LARGEST_RATE = 1e-3, 0.9  # of ratios that are taken for the rate 
 _MEASURED = 10  # steps after which the ratio of two corrections is measured again
 _KRYLOV = 20  # steps with iterations over sums, where corrections alone do not converge
 _RIGHT, _ITERATIONS = 0.1, 8  # relative residual of these iterations, and how many at most
-_CHANGED = 1.4
+_CHANGED = 1.4  # of g = h / d0, from which the equations are factorised again
 _SAFETY, _GROWTH = 0.85, 2.0
 _WORTH = 1.2  # growth of a step below which it stays as it is
 _BIAS = 1.1  # advantage that another order must have
