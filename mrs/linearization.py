@@ -22,7 +22,7 @@ from mrs.time.state import State
 LONGEST = 500  # nodes of a piece: factors of longer ones cost more than the sums they save
 _LARGEST = 400  # nodes of pieces in one block: its matrix has 36 times the square of that
 _PRECISION = np.float32  # of factors
-_KEPT = 4  # factorisations
+_KEPT = 2  # factorisations
 _PROXIES = 6  # of a piece
 _RIGHT = 1e-2  # relative residual of solutions
 _MOST = 12  # iterations
