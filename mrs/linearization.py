@@ -113,28 +113,27 @@ class Proxies:
     ) -> None:
         self._weights = _weights(nodes.piece)
         self._held = nodes.held
-        pieces = nodes.piece[np.sort(np.unique(nodes.piece, return_index=True)[1])]
-        first = np.searchsorted(nodes.piece, pieces)
+        _, first = np.unique(nodes.piece, return_index=True)
         self.places = _smoothed(nodes.piece, places)
-        sizes = np.maximum(np.repeat(epsilons[first], _PROXIES), self._reach())
         self._boundary = boundary
-        self._mobility = made(sizes)
+        self._mobility = made(np.repeat(self._blobs(epsilons[first]), _PROXIES))
         of_block = np.repeat(block[first], _PROXIES)
         self._within = [
             (rows, self._mobility.matrix(rows, self.places[rows], boundary))
             for rows in (np.flatnonzero(of_block == b) for b in np.unique(of_block))
         ]
 
-    def _reach(self) -> np.ndarray:
-        """Return about the distance to the next proxy, for each: the least size of its blob.
+    def _blobs(self, epsilons: np.ndarray) -> np.ndarray:
+        """Return the blob size of the proxies of each piece, for those of its nodes.
 
-        Smaller blobs made the approximate mobility of rods close to each other indefinite. Powers
-        of two apart, since each size costs a sum.
+        About the distance between proxies, if that is larger: smaller blobs made the approximate
+        mobility of rods close to each other indefinite. They are powers of two apart, since each
+        size costs a sum.
         """
         lines = self.places.reshape(-1, _PROXIES, 3)
         steps = np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1)
-        sizes = steps.max() * 2.0 ** np.round(np.log2(steps / steps.max()))
-        return np.repeat(sizes, _PROXIES)
+        sizes = np.maximum(epsilons, steps)
+        return np.asarray(sizes.max() * 2.0 ** np.round(np.log2(sizes / sizes.max())))
 
     def velocities(self, forces: np.ndarray) -> np.ndarray:
         """Return the velocities of nodes, (n, 3), by forces, (n, 3), of other blocks."""
