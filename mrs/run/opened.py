@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     import pyvista as pv
     import xarray as xr
 
+    from mrs.output.inline import Picture
+
 _LOG = "log.csv"
 
 
@@ -191,6 +193,20 @@ class Run(Shown):
 
         index = self._index(frame)
         return pv.MultiBlock({name: body.mesh(index) for name, body in self._bodies.items()})
+
+    def show(self, frame: int = -1, **options: Any) -> Picture:
+        """Return a picture of a frame, which a notebook shows.
+
+        Parameters
+        ----------
+        frame : int, optional
+            Index in `times`; the last by default.
+        **options
+            Those of `mrs.output.render.render` for a picture, such as `color_by` and `camera`.
+        """
+        from mrs.output.inline import picture_of
+
+        return picture_of(self, frame=self._numbers[self._index(frame)], **options)
 
     def to_xarray(self) -> xr.DataTree:
         """Return a tree with a Dataset for each body; arrays stay in the files until they are used.

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,9 @@ from mrs.time.system import System, Watched
 from treecode.blas import blas_of_one_thread
 from treecode.ranks import OneRank
 from treecode.shown import Shown
+
+if TYPE_CHECKING:
+    from mrs.output.inline import Picture
 
 _CORRECT_EVERY = 50  # steps, after which the error of the sums is sampled
 _INTEGRATOR = "integrator/"  # before the names of the stepper's arrays
@@ -189,6 +192,18 @@ class Simulation(Shown):
     def frame(self, body: Body) -> tuple[np.ndarray, Arrays, Arrays]:
         """Return the content of a frame of one body: points, arrays at points and at cells."""
         return self.scene.frame(body, self.now)
+
+    def show(self, **options: Any) -> Picture:
+        """Return a picture of the present state, which a notebook shows.
+
+        Parameters
+        ----------
+        **options
+            Those of `mrs.output.render.render` for a picture, such as `color_by` and `camera`.
+        """
+        from mrs.output.inline import picture_now
+
+        return picture_now(self, **options)
 
     def snapshot(self) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return all that the rest of the run depends on: arrays, and values that JSON can hold."""
