@@ -188,7 +188,10 @@ def _over_lags(
 def _frames(name: str, value: ArrayLike) -> np.ndarray:
     array = check.real(name, value)
     if array.ndim != 3 or array.shape[2] != 3 or not array.size:
-        raise ValueError(f"{name} must have shape (T, n, 3), none of them 0, got {array.shape}")
+        raise ValueError(
+            f"{name} must have shape (T, n, 3), none of them 0, as those of tracks(run, body); got "
+            f"{array.shape}"
+        )
     return check.shaped(name, array, array.shape)
 
 

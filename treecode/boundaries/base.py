@@ -150,6 +150,9 @@ class FreeSpace(Boundary):
     [[0.7958 0.     0.    ]]
     """
 
+    def __repr__(self) -> str:
+        return "FreeSpace()"
+
     def terms(self, kernel: Kernel) -> Sequence[Term]:
         """Return the sum itself."""
         return (Term(kernel),)
