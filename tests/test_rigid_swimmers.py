@@ -3,6 +3,7 @@
 import meshio
 import numpy as np
 import pytest
+import pyvista
 import scipy
 
 import mrs
@@ -301,3 +302,13 @@ def test_scenario_with_a_surface_from_a_file(ball_file):
     scene = scenario_files.make("dragged_bodies", {"surface": str(ball_file)}, quick=True)
     result = scene.check(scene.simulation())
     assert result.passed, str(result)
+
+
+def test_a_file_that_meshio_ends_the_program_for(tmp_path):
+    """A legacy .vtk of polygons, as pyvista writes them: an error that a script can catch."""
+    path = tmp_path / "ball.vtk"
+    pyvista.Sphere().save(path)
+    with pytest.raises(ValueError, match=r"^path must be a file that meshio reads, .*ball\.vtk"):
+        mrs.surfaces.read(path)
+    with pytest.raises(FileNotFoundError, match="path: there is no file"):
+        mrs.surfaces.read(tmp_path / "none.stl")

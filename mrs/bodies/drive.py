@@ -76,8 +76,9 @@ class Drive:
 class Mount:
     """Where rods are fixed to rigid bodies, which get their loads.
 
-    The first node of each rod and its triad move with the axes of a body, and may turn against
-    them, as a motor makes a flagellum turn: the body gets the opposite torque.
+    The first node of each rod and its triad move with the axes of a body. The triad may turn
+    against them, as a motor makes a flagellum turn: the body gets the opposite torque. The rod
+    turns about its first node, wherever this is on the body.
 
     Parameters
     ----------

@@ -336,8 +336,10 @@ def read(path: str | os.PathLike[str]) -> Surface:
 
     Raises
     ------
+    FileNotFoundError
+        If there is no such file.
     ValueError
-        If there are no triangles.
+        If there are no triangles, or meshio cannot read the file.
 
     Examples
     --------
@@ -350,8 +352,16 @@ def read(path: str | os.PathLike[str]) -> Surface:
     """
     import meshio  # not before it is used: it takes a fifth of a second
 
-    with np.errstate(over="ignore"):  # meshio takes text in a .stl for a number at first
-        mesh = meshio.read(Path(path))
+    if not Path(path).exists():
+        raise FileNotFoundError(f"path: there is no file {str(path)!r}")
+    try:
+        with np.errstate(over="ignore"):  # meshio takes text in a .stl for a number at first
+            mesh = meshio.read(Path(path))
+    except (SystemExit, meshio.ReadError) as error:  # it ends the program where it cannot read
+        raise ValueError(
+            "path must be a file that meshio reads, such as a .stl, .ply, .obj or .vtu, got "
+            f"{str(path)!r}"
+        ) from error
     triangles = [block.data for block in mesh.cells if block.type == "triangle"]
     if not triangles:
         kinds = sorted({block.type for block in mesh.cells})

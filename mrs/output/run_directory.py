@@ -97,8 +97,9 @@ def begin(
     earlier = noted(directory)
     if earlier and not overwrite:
         raise FileExistsError(
-            f"{directory} holds a run; go on with it (`mrs resume {directory}`), choose another "
-            "directory, or delete it with --overwrite (overwrite=True)"
+            f"{directory} holds a run; go on with it (`mrs resume {directory}`, in a script "
+            "`mrs.restart(sim).run(t_end)`), choose another directory, or delete it with "
+            "--overwrite (overwrite=True)"
         )
     own = [directory / CONFIG, directory / _FILES, *files]
     foreign = [path for path in own if os.path.lexists(path) and path not in earlier]
