@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -42,7 +41,7 @@ class Problem:
     ----------
     f : callable
     rates : callable
-        Returns f(t, z) at the start.
+        Returns f(t, z) at the start, and keeps it.
     spectral_radius : float
         Of df/dz at the start, an estimate from below; 0 before the first one.
     state : State
@@ -65,7 +64,7 @@ class Problem:
         self.f, self._rates, self.spectral_radius = f, rates, spectral_radius
         self._state, self._linearized, self.unit = state, linearized, unit
 
-    @cached_property
+    @property
     def rates(self) -> np.ndarray:
         """f(t, z) at the start."""
         return self._rates()
