@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
-from mrs import rotations
+from mrs import krylov, rotations
 from mrs.bodies.layout import Layout
 from mrs.fluid.mobility import Boundary, Mobility
 from mrs.stiffness import Stiffness
@@ -191,25 +191,24 @@ class Linearization:
         """Return x with (1 - g A) x = right, (P + Q, 3), where nodes have turned."""
         if not np.isfinite(right).all():  # the step will be rejected
             return np.full_like(right, np.nan)
-        out = right.copy()
-        own = np.stack([right[rows] for rows in self._rows], axis=1)  # (n, 2, 3)
-        inside = rotations.rotate(rotations.conjugate(turn)[:, None], own)
-        solved = self._solve(g, turn, inside)
-        for rows, part in zip(
-            self._rows, rotations.rotate(turn[:, None], solved).swapaxes(0, 1), strict=True
-        ):
-            out[rows] = part
-        return out
+        solved = self._solve(g, turn, self._inside(turn, right))
+        return self._written(right.copy(), rotations.rotate(turn[:, None], solved))
 
     def product(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the rates that changes x of coordinates cause, where nodes have turned."""
-        own = np.stack([x[rows] for rows in self._rows], axis=1)
-        inside = rotations.rotate(rotations.conjugate(turn)[:, None], own)
-        loads = (self._stiffness @ inside.reshape(-1)).reshape(-1, 2, 3)
+        loads = (self._stiffness @ self._inside(turn, x).reshape(-1)).reshape(-1, 2, 3)
         motion = self._motion(self._nodes.points, rotations.rotate(turn[:, None], loads))
         motion[self._nodes.held] = 0.0
-        out = np.zeros_like(x)
-        for rows, part in zip(self._rows, motion.swapaxes(0, 1), strict=True):
+        return self._written(np.zeros_like(x), motion)
+
+    def _inside(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the rows of nodes of x, (P + Q, 3), in the frames of the nodes, (n, 2, 3)."""
+        own = np.stack([x[rows] for rows in self._rows], axis=1)
+        return rotations.rotate(rotations.conjugate(turn)[:, None], own)
+
+    def _written(self, out: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return `out`, (P + Q, 3), with the rows of nodes, (n, 2, 3), written to it."""
+        for rows, part in zip(self._rows, own.swapaxes(0, 1), strict=True):
             out[rows] = part
         return out
 
@@ -221,18 +220,11 @@ class Linearization:
         alone = self._block_solve(g, right)
         if self._proxies is None:
             return alone
-        unit, shape = self._unit, right.shape
 
-        def applied(scaled: np.ndarray) -> np.ndarray:
-            x = scaled.reshape(shape) * unit
-            others = self._block_solve(g, g * self._coupling(turn, x))
-            return ((x - others) / unit).ravel()
+        def applied(x: np.ndarray) -> np.ndarray:
+            return x - self._block_solve(g, g * self._coupling(turn, x))
 
-        operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
-        scaled, _ = scipy.sparse.linalg.gmres(
-            operator, (alone / unit).ravel(), rtol=_RIGHT, restart=_MOST, maxiter=1
-        )
-        return scaled.reshape(shape) * unit
+        return krylov.solved(applied, alone, self._unit, _RIGHT, _MOST)
 
     def _block_solve(self, g: float, right: np.ndarray) -> np.ndarray:
         out = np.empty_like(right)

@@ -163,13 +163,15 @@ ALLOWED = {
     "mrs.rotations": set(),
     "mrs.rigid_motion": {"mrs.rotations"},
     "mrs.stiffness": set(),
+    "mrs.krylov": set(),
     "mrs.linearization": {
-        "mrs.bodies.layout", "mrs.fluid", "mrs.rotations", "mrs.stiffness", "mrs.time",
+        "mrs.bodies.layout", "mrs.fluid", "mrs.krylov", "mrs.rotations", "mrs.stiffness",
+        "mrs.time",
     },
     "mrs.resistance_matrix": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.rigid_motion", "mrs.scene",
     },
-    "mrs.time": {"mrs.check", "mrs.registry", "mrs.rotations", "mrs.time"},
+    "mrs.time": {"mrs.check", "mrs.krylov", "mrs.registry", "mrs.rotations", "mrs.time"},
     "mrs.time.interrupts": {"mrs.check", "mrs.run.simulation"},  # its type
     "mrs.bodies": {
         "mrs.bodies", "mrs.check", "mrs.describe", "mrs.registry", "mrs.rigid_motion",

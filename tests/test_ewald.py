@@ -1,12 +1,10 @@
 """Periodic sums: lattice sums, invariances of a lattice, tolerances, and the flow that they are."""
 
-import json
-
-import numba
 import numpy as np
 import pytest
 
 import treecode as tc
+from tests.cases.bits import assert_choice_keeps_bits
 from tests.cases.ewald_oracle import lattice_sum, wave_sum
 
 CUBE = np.eye(3)
@@ -248,16 +246,7 @@ def test_a_choice_sums_to_the_same_bits(kind):
     points, q = some(kind, SHEARED, 3000)
     kernel = periodic(kind, 0.02, SHEARED)
     plan = tc.Plan(kernel, "ewald", tol=1e-5).set_points(points)
-    values = plan.execute(q)
-    again = tc.Plan(kernel)
-    again.use(tc.Choice(**json.loads(json.dumps(plan.choice.as_dict()))))
-    before = numba.get_num_threads()
-    try:
-        for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
-            numba.set_num_threads(threads)
-            assert np.array_equal(again.set_points(points).execute(q), values)
-    finally:
-        numba.set_num_threads(before)
+    assert_choice_keeps_bits(plan, points, q)
 
 
 def test_ranks_share_a_sum(on_ranks):

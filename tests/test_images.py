@@ -1,13 +1,12 @@
 """Periodic sums by near images and waves: against oracles, wherever points crowd."""
 
 import itertools
-import json
 
-import numba
 import numpy as np
 import pytest
 
 import treecode as tc
+from tests.cases.bits import assert_choice_keeps_bits
 from tests.cases.ewald_oracle import lattice_sum, wave_sum
 from tests.test_ewald import CUBE, KINDS, SHEARED, each_cell, each_kind, error, periodic, some
 from treecode.kernels.periodic import PeriodicKernel
@@ -211,17 +210,7 @@ def test_a_choice_sums_to_the_same_bits(kind):
     points, q = ball(1000, 0.2), some(kind, SHEARED, 1000)[1]
     kernel = periodic(kind, 0.02, SHEARED)
     plan = tc.Plan(kernel, "images", tol=1e-5).set_points(points)
-    values = plan.execute(q)
-    again = tc.Plan(kernel)
-    again.use(tc.Choice(**json.loads(json.dumps(plan.choice.as_dict()))))
-    before = numba.get_num_threads()
-    try:
-        for threads in range(1, numba.config.NUMBA_NUM_THREADS + 1):
-            numba.set_num_threads(threads)
-            again.set_points(points + 0.3).execute(q)
-            assert np.array_equal(again.set_points(points).execute(q), values)
-    finally:
-        numba.set_num_threads(before)
+    assert_choice_keeps_bits(plan, points, q)
 
 
 def test_ranks_share_a_sum(on_ranks):

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import scipy
 
+from mrs import krylov
 from mrs.time.integrators.base import Linearized, Problem, Step
 from mrs.time.state import Arrays, State
 
@@ -298,21 +298,12 @@ class _Solve:
 
     def _iterated(self, right: np.ndarray) -> np.ndarray:
         assert self._problem is not None
-        shape, unit = right.shape, self._problem.unit
 
-        def applied(scaled: np.ndarray) -> np.ndarray:
-            x = scaled.reshape(shape) * unit
-            return (self._directly(x - self._g * self._jacobian.product(x)) / unit).ravel()
+        def applied(x: np.ndarray) -> np.ndarray:
+            return self._directly(x - self._g * self._jacobian.product(x))
 
-        operator = scipy.sparse.linalg.LinearOperator((right.size,) * 2, applied, dtype=float)
-        scaled, _ = scipy.sparse.linalg.gmres(
-            operator,
-            (self._directly(right) / unit).ravel(),
-            rtol=_RIGHT,
-            restart=_ITERATIONS,
-            maxiter=1,
-        )
-        return scaled.reshape(shape) * unit
+        right = self._directly(right)
+        return krylov.solved(applied, right, self._problem.unit, _RIGHT, _ITERATIONS)
 
 
 def _corrected(

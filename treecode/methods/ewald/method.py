@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from treecode import check
 from treecode.kernels.base import Kernel
 from treecode.kernels.periodic import PeriodicKernel
-from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter
+from treecode.methods.base import KEYWORDS, Case, Method, Offer, Parameter, Sum
 from treecode.methods.ewald.cells import crowding
 from treecode.methods.ewald.slab import span_of
 from treecode.methods.ewald.summation import Ewald, scaled_task
@@ -39,13 +39,13 @@ class EwaldMethod(Method):
     def refuse(self, given: Mapping[str, Any]) -> None:
         """Refuse a precision."""
         precision = given.get("precision")
-        check.absent(f"with backend {NAME!r}, where tol decides", precision=precision)
+        check.absent(f"with backend {self.name!r}, where tol decides", precision=precision)
 
     def seeks(self, given: Mapping[str, Any]) -> bool:
         """Return True: a tolerance is kept."""
         return True
 
-    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Ewald:
+    def make(self, kernel: Kernel, parameters: Mapping[str, Any], progress: bool = False) -> Sum:
         """Return a sum without points."""
         assert isinstance(kernel, PeriodicKernel), "see `members`"
         return Ewald(kernel, parameters, progress)
@@ -64,18 +64,22 @@ class EwaldMethod(Method):
         yield offer
 
     def _priced(self, case: Case, offer: Offer) -> Offer:
-        """Return an offer with its splitting parameter and seconds; once for each tolerance."""
+        """Return an offer with what depends on the points, and seconds; once a tolerance."""
         known = case.memory.setdefault(self.name, {})
         tol = offer.parameters["tol"]
         if tol not in known:
-            unit, task = _task_of(case, tol)
-            apart = None if case.targets is case.sources else case.targets / unit
-            crowded = crowding(task.vectors, case.sources / unit, apart)
-            split = cheapest_split(task, crowded)
-            seconds = sum(seconds_of(task, split, crowded(split.distance)))
-            known[tol] = {"tol": tol, "xi": split.xi / unit}, seconds
+            known[tol] = self._split(case, tol)
         parameters, seconds = known[tol]
         return offer._replace(parameters=parameters, seconds=seconds)
+
+    def _split(self, case: Case, tol: float) -> tuple[dict[str, Any], float]:
+        """Return the parameters of the split that should cost least, and its seconds."""
+        unit, task = _task_of(case, tol)
+        apart = None if case.targets is case.sources else case.targets / unit
+        crowded = crowding(task.vectors, case.sources / unit, apart)
+        split = cheapest_split(task, crowded)
+        seconds = sum(seconds_of(task, split, crowded(split.distance)))
+        return {"tol": tol, "xi": split.xi / unit}, seconds
 
 
 def _task_of(case: Case, tol: float) -> tuple[float, Task]:
