@@ -8,6 +8,7 @@ closer than a blob together. Blocks feel each other through a few points of each
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,12 +19,15 @@ from mrs.bodies.layout import Layout
 from mrs.fluid.mobility import Boundary, Mobility
 from mrs.stiffness import Stiffness
 from mrs.time.state import State
+from treecode.threads import Threads, shared
 
 LONGEST = 500  # nodes of a piece: factors of longer ones cost more than the sums they save
 _LARGEST = 400  # nodes of pieces in one block: its matrix has 36 times the square of that
 _PRECISION = np.float32  # of factors
+_ROUNDING = 1e-6  # of the largest entry, below which entries couple nothing
 _KEPT = 2  # factorisations
 _PROXIES = 6  # of a piece
+_SHARE = 8  # blocks at least that a thread takes, of which it solves the equations
 _RIGHT = 1e-2  # relative residual of solutions
 _MOST = 12  # iterations
 
@@ -49,40 +53,55 @@ class Nodes(NamedTuple):
 
 
 class Block:
-    """Pieces that feel each other wholly: their part of the Jacobian, factorised.
+    """Coordinates that feel each other wholly: their part of the Jacobian.
 
     Parameters
     ----------
-    nodes : (m,) int ndarray
-        Among those of all stiff bodies.
-    mobility : (6 m, 6 m) ndarray
-    stiffness : (6 m, 6 m) scipy.sparse.csr_array
-    unit : (6 m,) ndarray
+    rows : (k,) int ndarray
+        Among the coordinates of all nodes, six a node.
+    mobility : (k, k) ndarray
+    stiffness : (k, k) scipy.sparse.csr_array
+    unit : (k,) ndarray
         Of coordinates: with others factors would depend on the user's unit of length.
     """
 
     def __init__(
-        self, nodes: np.ndarray, mobility: np.ndarray, stiffness: Any, unit: np.ndarray
+        self, rows: np.ndarray, mobility: np.ndarray, stiffness: Any, unit: np.ndarray
     ) -> None:
-        self.nodes, self._unit = nodes, unit
-        jacobian = (stiffness.T @ mobility.T).T
-        self._jacobian = np.asarray(jacobian * (unit / unit[:, None]), _PRECISION)
-        self._factors: dict[float, Any] = {}
+        self._rows, self._unit = rows, unit
+        transposed = (stiffness * unit).T.tocsr() @ mobility.T
+        self._transposed = np.asarray(transposed / unit, _PRECISION)
 
-    def solve(self, g: float, right: np.ndarray) -> np.ndarray:
-        """Return the solution of (1 - g J) x = right, (m, 6)."""
-        if g not in self._factors:
-            while len(self._factors) >= _KEPT:
-                del self._factors[next(iter(self._factors))]
-            matrix = self._jacobian * _PRECISION(-g)
-            matrix.flat[:: len(matrix) + 1] += 1.0
-            # Of the transpose, which is the matrix as Fortran has it.
-            lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
-            self._factors[g] = lu, pivots
-        lu, pivots = self._factors[g]
-        flat = np.asarray(right.reshape(-1) / self._unit, _PRECISION)
-        solution, _ = scipy.linalg.lapack.sgetrs(lu, pivots, flat, trans=1)
-        return (self._unit * solution).reshape(right.shape)
+    def factors(self, g: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the LU factors of 1 - g J, and their pivots."""
+        matrix = self._transposed * _PRECISION(-g)
+        matrix.flat[:: len(matrix) + 1] += 1.0
+        # LAPACK has matrices by columns: its matrix is the transpose of this one.
+        lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
+        return lu, pivots
+
+    def solve(self, factors: tuple[np.ndarray, ...], right: np.ndarray, out: np.ndarray) -> None:
+        """Write the solution by factors, both of all coordinates."""
+        flat = np.asarray(right[self._rows] / self._unit, _PRECISION)
+        solution, _ = scipy.linalg.lapack.sgetrs(*factors, flat)
+        out[self._rows] = self._unit * solution
+
+
+def _independent(places: np.ndarray, mobility: np.ndarray, stiffness: Any) -> list[Any]:
+    """Return sets of coordinates of nodes that do not feel each other.
+
+    Nodes in a plane across an axis move in it and turn about that axis as if that were all. Then
+    there are two, and their factors take a quarter of the time.
+    """
+    across = np.flatnonzero(np.ptp(places, axis=0) <= _ROUNDING * np.ptp(places))
+    if len(across):
+        component = np.tile(np.arange(6), len(places))
+        inside = (component < 3) != (component % 3 == across[0])
+        halves = np.flatnonzero(inside), np.flatnonzero(~inside)
+        pairs = [(m[halves[0]][:, halves[1]], m) for m in (mobility, stiffness)]
+        if all(abs(p).max() <= _ROUNDING * abs(m.diagonal()).max() for p, m in pairs):
+            return list(halves)
+    return [slice(None)]
 
 
 class Proxies:
@@ -181,6 +200,7 @@ class Linearization:
         rows = nodes.positions, nodes.triads
         self._rows = rows[0], rows[1] + len(state.positions)
         self._unit = unit
+        self._factors: dict[float, list[tuple[np.ndarray, ...]]] = {}
 
     def at(self, state: State) -> Placed:
         """Return it in the frames that nodes have in a state."""
@@ -227,10 +247,23 @@ class Linearization:
         return krylov.solved(applied, alone, self._unit, _RIGHT, _MOST)
 
     def _block_solve(self, g: float, right: np.ndarray) -> np.ndarray:
-        out = np.empty_like(right)
-        for block in self._blocks:
-            out[block.nodes] = block.solve(g, right[block.nodes])
-        return out
+        flat, out, factors = right.reshape(-1), np.empty(right.size), self._factorised(g)
+
+        def some(pieces: slice) -> None:
+            for block, own in zip(self._blocks[pieces], factors[pieces], strict=True):
+                block.solve(own, flat, out)
+
+        with Threads() as threads:
+            threads(some, len(self._blocks), least=_SHARE)
+        return out.reshape(right.shape)
+
+    def _factorised(self, g: float) -> list[tuple[np.ndarray, ...]]:
+        """Return the factors of all blocks."""
+        if g not in self._factors:
+            while len(self._factors) >= _KEPT:
+                del self._factors[next(iter(self._factors))]
+            self._factors[g] = shared(lambda block: block.factors(g), self._blocks)
+        return self._factors[g]
 
     def _coupling(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Return the rates of nodes that changes x of others cause, in the frames of nodes."""
@@ -296,18 +329,36 @@ def linearized(
     places = nodes.positions, nodes.triads + len(state.positions)
     units = np.stack([np.tile(unit[rows], 3) for rows in places], axis=1)
     block = _blocks(nodes.piece, points, sizes)
-    blocks = []
-    for rows in np.split(np.argsort(block, kind="stable"), np.cumsum(np.bincount(block))[:-1]):
-        held = nodes.held[rows]
-        own = mobility.matrix(nodes.points[rows], points[rows], boundary)
-        parts = own.reshape(len(rows), 6, len(rows), 6)
-        parts[held], parts[:, :, held] = 0.0, 0.0
-        columns = (6 * rows[:, None] + np.arange(6)).ravel()
-        blocks.append(Block(rows, own, stiffness[columns][:, columns], units[rows].ravel()))
+    groups = _pieces(block)
+
+    def blocks_of(own: np.ndarray) -> list[Block]:
+        matrix = mobility.matrix(nodes.points[own], points[own], boundary)
+        return _alone(own, nodes, points, matrix, stiffness, units.ravel())
+
+    blocks = list(chain.from_iterable(shared(blocks_of, groups)))
     proxies = None
-    if made is not None and len(blocks) > 1:
+    if made is not None and len(groups) > 1:
         proxies = Proxies(nodes, points, sizes, block, made, boundary)
     return Linearization(time, state, nodes, blocks, stiffness, proxies, units, motion)
+
+
+def _alone(
+    own: np.ndarray,
+    nodes: Nodes,
+    points: np.ndarray,
+    mobility: np.ndarray,
+    stiffness: Any,
+    unit: np.ndarray,
+) -> list[Block]:
+    """Return the blocks of some nodes, which feel none of the others in them."""
+    held = np.repeat(nodes.held[own], 6)
+    mobility[held], mobility[:, held] = 0.0, 0.0
+    rows = (6 * own[:, None] + np.arange(6)).ravel()
+    stiffness = stiffness[rows][:, rows]
+    return [
+        Block(rows[part], mobility[:, part][part], stiffness[part][:, part], unit[rows[part]])
+        for part in _independent(points[own], mobility, stiffness)
+    ]
 
 
 def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | None:

@@ -73,6 +73,28 @@ def test_a_rod_at_rest_has_the_jacobian_that_is_approximated():
     np.testing.assert_allclose(solved, np.eye(len(exact)), rtol=0, atol=2e-4)
 
 
+@pytest.mark.parametrize(
+    "boundary", [None, mrs.Wall((0.0, 0.0, -5.0))], ids=["free", "over a wall"]
+)
+def test_a_rod_in_a_plane_has_two_independent_halves(boundary):
+    """By the whole matrix; a rod that leaves the plane has none."""
+    bent = mrs.geometry.at_rest((0.8, 0.0, 0.0), 0.2, 11)
+    planar = {"intrinsic_curvature": (0.5, 0.0, 0.0)} | ROD
+    sim = simulation(mrs.Rods(bent, **planar), boundary=boundary)
+    linear, g = sim.scene.linearized(0.0, sim.state), 0.01
+    assert len(linear._blocks) == 2
+    rows = np.arange(11)
+    mobility = sim.mobility.matrix(rows, sim.state.positions, sim.fluid.boundary)
+    whole = np.eye(66) - g * mobility @ linear._stiffness.toarray()
+    right = np.random.default_rng(1).standard_normal((22, 3))
+    solved = linear.at(sim.state).solve(g, right)
+    mixed = np.stack([solved[:11], solved[11:]], axis=1).ravel()
+    expected = np.stack([right[:11], right[11:]], axis=1).ravel()
+    np.testing.assert_allclose(whole @ mixed, expected, rtol=0, atol=1e-3 * np.abs(right).max())
+    out_of_plane = simulation(mrs.Rods(mrs.geometry.at_rest(STRAIN, 0.2, 11), **planar))
+    assert len(out_of_plane.scene.linearized(0.0, out_of_plane.state)._blocks) == 1
+
+
 def contraction(sim, g):
     """Return by how much a correction with the approximate Jacobian shrinks the worst error."""
     exact = np.eye(sim.state.coordinates().size) - g * jacobian(sim)

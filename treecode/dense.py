@@ -58,64 +58,71 @@ def matrix(
     boundary.require_inside("points", sources)
     wanted = sources if targets is None else check.points("targets", targets)
     boundary.require_inside("targets", wanted)
-    shape = len(wanted), kernel.value_size, len(sources), kernel.strength_size
-    total = np.zeros(shape)
+    shape = len(sources), kernel.strength_size, len(wanted), kernel.value_size
+    transpose = np.zeros(shape)
     for term in boundary.terms(kernel):
         if not hasattr(term.kernel, "pair"):
             raise ValueError(
                 f"boundary must not be periodic, since a lattice sum is none over pairs of points; "
                 f"got {boundary}"
             )
-        total += _matrix_of(term, kernel.strength_size, sources, wanted)
-    return total.reshape(shape[0] * shape[1], shape[2] * shape[3])
+        _add(term, sources, wanted, transpose)
+    return transpose.reshape(shape[0] * shape[1], -1).T
 
 
-def _matrix_of(
-    term: Term, strength_size: int, sources: np.ndarray, targets: np.ndarray
-) -> np.ndarray:
-    """Return the part of one term, (M, value_size, N, strength_size)."""
+def _add(term: Term, sources: np.ndarray, targets: np.ndarray, out: np.ndarray) -> None:
+    """Add a term to a transposed matrix, (N, strength_size, M, value_size)."""
     own, there = term.columns_of(sources, targets)
     assert there is not None
-    count, wanted = own.shape[1], len(targets)
+    count, strength_size = own.shape[1], out.shape[1]
     weights = np.empty((strength_size, term.kernel.weight_size, count))
     for unit, row in zip(np.eye(strength_size), weights, strict=True):
         strengths = term.strengths_of(sources, np.tile(unit, (len(sources), 1)))
         write_weights(term.kernel, strengths, np.arange(count), 0, count, row)
-    padded = np.pad(there, ((0, 0), (0, LANES - 1)))
-    values = np.empty((strength_size, count, term.kernel.value_size, padded.shape[1]))
-    fill(term.kernel, padded, wanted, own, weights, values)
-    flow = values[..., :wanted].swapaxes(2, 3)
+    flows = None
     if term.values is not None:
-        everywhere = np.broadcast_to(targets, (strength_size, count, wanted, 3)).reshape(-1, 3)
-        flow = term.flow_of(everywhere, flow.reshape(len(everywhere), -1))
-    # Several sources of a term may stand for one point, a row of the points after the other.
-    flow = flow.reshape(strength_size, -1, len(sources), wanted, flow.shape[-1]).sum(axis=1)
-    return np.asarray(flow.transpose(2, 3, 1, 0))
+        units = np.eye(term.kernel.value_size)
+        each = [term.flow_of(targets, np.tile(unit, (len(targets), 1))) for unit in units]
+        flows = np.stack(each, axis=1)
+    padded = np.pad(there, ((0, 0), (0, LANES - 1)))
+    row = np.empty((term.kernel.value_size, padded.shape[1]))
+    fill(term.kernel, padded, own, weights, flows, row, out)
 
 
 @Driver
-def fill(kernel, targets, wanted, sources, weights, out):
-    """Write what each source with each of its weights does to each target.
+def fill(kernel, targets, sources, weights, flows, row, out):
+    """Add what each source with each of its weights does to each target.
 
     Parameters
     ----------
     kernel : Kernel
     targets : (3, M + LANES - 1) float64
-    wanted : int
-        M.
     sources : (3, n) float64
+        All points once, and then again if several sources stand for one.
     weights : (S, weight_size, n) float64
-    out : (S, n, value_size, M + LANES - 1) float64
+    flows : (M, value_size of the kernel, value_size) float64, or None
+        The flow at each target for each value there; None if it is the value.
+    row : (value_size of the kernel, M + LANES - 1) float64
+        Space for the values of one source.
+    out : (N, S, M, value_size) float64
     """
     wide_vectors()
-    for s in range(weights.shape[0]):
-        for j in range(sources.shape[1]):
+    count, _, wanted, size = out.shape
+    for j in range(sources.shape[1]):
+        for s in range(weights.shape[0]):
             w = weight_column(kernel, weights[s], j)
-            values = out[s, j]
             for i in range(0, wanted, LANES):
                 dx = load(targets, 0, i) - sources[0, j]
                 dy = load(targets, 1, i) - sources[1, j]
                 dz = load(targets, 2, i) - sources[2, j]
                 acc = pair(kernel, dx, dy, dz, w, zero(kernel, targets))
                 for c in range(len(acc)):
-                    store(values, c, i, acc[c])
+                    store(row, c, i, acc[c])
+            total = out[j % count, s]
+            for i in range(wanted):
+                for c in range(size):
+                    if flows is None:
+                        total[i, c] += row[c, i]
+                    else:
+                        for d in range(row.shape[0]):
+                            total[i, c] += row[d, i] * flows[i, d, c]

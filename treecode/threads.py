@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import Any
@@ -70,3 +70,16 @@ class Threads:
             for _ in run(function, slices):
                 if bar is not None:
                     bar.update()
+
+
+def shared(function: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """Return the values of `function` for all items, each computed by one thread."""
+    values: list[Any] = [None] * len(items)
+
+    def some(numbers: slice) -> None:
+        for number in range(numbers.start, numbers.stop):
+            values[number] = function(items[number])
+
+    with Threads(most=len(items)) as threads:
+        threads(some, len(items), size=1)
+    return values

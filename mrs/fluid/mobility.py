@@ -379,13 +379,15 @@ class Mobility:
         """
         kind = _KINDS[bool(self._torqued[rows].any())]
         within = FreeSpace() if isinstance(boundary, tc.Periodic) else boundary
-        size = kind.strength_size
+        size, epsilons = kind.strength_size, self._epsilons[rows]
         out = np.empty((len(rows) * size, len(rows), size))
-        for epsilon in np.unique(self._epsilons[rows]):
-            own = np.flatnonzero(self._epsilons[rows] == epsilon)
+        for epsilon in np.unique(epsilons):
+            own = epsilons == epsilon
             kernel = kind(float(epsilon), self._viscosity)
             columns = tc.matrix(kernel, places[own], places, boundary=within)
-            out[:, own] = columns.reshape(len(out), len(own), size)
+            if own.all():
+                return columns
+            out[:, own] = columns.reshape(len(out), -1, size)
         return out.reshape(len(out), -1)
 
     def infos(self) -> list[dict[str, Any]]:

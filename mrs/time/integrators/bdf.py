@@ -24,10 +24,11 @@ _SHARE = 0.2  # of the tolerance for the error of a step: those of neighbours ha
 _ENOUGH = 0.2 * _SHARE  # error that corrections may leave, in tolerances
 _DIVERGENT = 2.0  # ratio of two corrections from which there is no hope
 _LEAST_RATE, _LARGEST_RATE = 1e-3, 0.9  # of ratios that are taken for the rate of convergence
-_MEASURED = 10  # steps after which the ratio of two corrections is measured again
+_MEASURED = 5  # steps after which the ratio of two corrections is measured again
+_OLD, _SLOW = 2.0, 0.1  # a Jacobian is renewed when this ratio has grown so much, and beyond that
 _KRYLOV = 20  # steps with iterations over sums, where corrections alone do not converge
 _RIGHT, _ITERATIONS = 0.1, 8  # relative residual of these iterations, and how many at most
-_CHANGED = 1.4  # of g = h / d0, from which the equations are factorised again
+_CHANGED = 1.7  # of g = h / d0, from which the equations are factorised again
 _SAFETY, _GROWTH = 0.85, 2.0
 _WORTH = 1.2  # growth of a step below which it stays as it is
 _BIAS = 1.1  # advantage that another order must have
@@ -48,8 +49,8 @@ class _Memory:
         Where the Jacobian was approximated.
     factored : float
         The g of the factorised equations.
-    rate : float
-        Ratio of two corrections; 0 if it has not been measured since the Jacobian is new.
+    rate, best : float
+        Ratio of two corrections, and how it was when a Jacobian was new; 0 if it is unknown.
     age : int
         Steps since the ratio was measured.
     krylov : int
@@ -67,6 +68,7 @@ class _Memory:
     built_quaternions: np.ndarray
     factored: float
     rate: float
+    best: float
     age: int
     krylov: int
 
@@ -75,7 +77,7 @@ class _Memory:
         """Return the memory of a first step."""
         places, triads = state
         return cls(
-            np.array([t]), places[None], triads[None], 1, 0, 1, t, places, triads, 0.0, 0.0, 0, 0
+            np.array([t]), places[None], triads[None], 1, 0, 1, t, *state, 0.0, 0.0, 0.0, 0, 0
         )
 
     @property
@@ -115,8 +117,7 @@ def _renewed(past: _Memory, t: float, state: State) -> _Memory:
         built_positions=places,
         built_quaternions=triads,
         factored=0.0,
-        rate=0.0,
-        age=0,
+        rate=past.best,
     )
 
 
@@ -192,7 +193,9 @@ class BackwardDifferentiation:
             predicted = history[0] + h * problem.rates
         known, g = _combined(d[1:], history[:order]), h / d[0]
         there = problem.state.moved(predicted)
-        fresh = False
+        fresh = past.rate > max(_SLOW, _OLD * past.best)
+        if fresh:
+            past = _renewed(past, ahead, there)
 
         def residual(z: np.ndarray) -> np.ndarray:
             return z + (known - h * problem.f(ahead, z)) / d[0]
@@ -203,11 +206,11 @@ class BackwardDifferentiation:
             if not past.factored or not 1.0 / _CHANGED < g / past.factored < _CHANGED:
                 past = replace(past, factored=g)
             solve = _Solve(jacobian, past.factored, g, problem if past.krylov else None)
-            done = _corrected(problem, solve, residual, predicted, first, past)
+            done = _corrected(problem, solve, residual, predicted, first, past, fresh)
             if done is not None:
                 return *done, history
             if not fresh:
-                fresh, past = True, _renewed(past, ahead, there)
+                fresh, past = True, replace(_renewed(past, ahead, there), rate=0.0)
             elif not past.krylov:
                 past = replace(past, krylov=_KRYLOV, rate=0.0)
             else:
@@ -313,6 +316,7 @@ def _corrected(
     predicted: np.ndarray,
     first: np.ndarray,
     past: _Memory,
+    fresh: bool,
 ) -> tuple[np.ndarray, _Memory] | None:
     """Return the corrected prediction; None if corrections do not become smaller fast enough."""
     rate, age = past.rate, past.age + 1
@@ -335,6 +339,8 @@ def _corrected(
         z, age = z + correction, 0
         measured = size / before if before > 0.0 else 0.0
         rate = min(max(measured, 0.3 * rate, _LEAST_RATE), _LARGEST_RATE)
+        if fresh:
+            past = replace(past, best=rate)
     return None
 
 
