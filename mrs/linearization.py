@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy
@@ -17,7 +17,8 @@ import scipy
 from mrs import krylov, rotations
 from mrs.bodies.layout import Layout
 from mrs.fluid.mobility import Boundary, Mobility
-from mrs.stiffness import Stiffness
+from mrs.proxies import Proxies
+from mrs.stiffness import Nodes, Stiffness, gathered
 from mrs.time.state import State
 from treecode.threads import Threads, shared
 
@@ -26,30 +27,10 @@ _LARGEST = 400  # nodes of pieces in one block: its matrix has 36 times the squa
 _PRECISION = np.float32  # of factors
 _ROUNDING = 1e-6  # of the largest entry, below which entries couple nothing
 _KEPT = 2  # factorisations
-_PROXIES = 6  # of a piece
 _SHARE = 8  # blocks at least that a thread takes, of which it solves the equations
+_Factors: TypeAlias = tuple[np.ndarray, ...]
 _RIGHT = 1e-2  # relative residual of solutions
 _MOST = 12  # iterations
-
-
-class Nodes(NamedTuple):
-    """The nodes of all stiff bodies: where they are in the flat arrays.
-
-    Attributes
-    ----------
-    points, positions, triads : (n,) int ndarray
-        Rows.
-    held : (n,) bool ndarray
-        Whether the motion of a node does not follow from that of the fluid.
-    piece : (n,) int ndarray
-        Numbered through all bodies.
-    """
-
-    points: np.ndarray
-    positions: np.ndarray
-    triads: np.ndarray
-    held: np.ndarray
-    piece: np.ndarray
 
 
 class Block:
@@ -72,7 +53,7 @@ class Block:
         transposed = (stiffness * unit).T.tocsr() @ mobility.T
         self._transposed = np.asarray(transposed / unit, _PRECISION)
 
-    def factors(self, g: float) -> tuple[np.ndarray, np.ndarray]:
+    def factors(self, g: float) -> _Factors:
         """Return the LU factors of 1 - g J, and their pivots."""
         matrix = self._transposed * _PRECISION(-g)
         matrix.flat[:: len(matrix) + 1] += 1.0
@@ -80,11 +61,24 @@ class Block:
         lu, pivots, _ = scipy.linalg.lapack.sgetrf(matrix.T, overwrite_a=1)
         return lu, pivots
 
-    def solve(self, factors: tuple[np.ndarray, ...], right: np.ndarray, out: np.ndarray) -> None:
-        """Write the solution by factors, both of all coordinates."""
-        flat = np.asarray(right[self._rows] / self._unit, _PRECISION)
-        solution, _ = scipy.linalg.lapack.sgetrs(*factors, flat)
-        out[self._rows] = self._unit * solution
+    def solve(self, factors: _Factors, right: np.ndarray, out: np.ndarray) -> None:
+        """Write the solution of (1 - g J) x = right, both of all coordinates."""
+        out[self._rows] = self._solved(factors, right[self._rows])
+
+    def responses(self, factors: _Factors, rates: Any) -> tuple[np.ndarray, ...]:
+        """Return the solutions for all columns of a sparse matrix: rows, columns and values."""
+        own = rates[self._rows].tocoo()
+        columns, place = np.unique(own.coords[1], return_inverse=True)
+        right = np.zeros((len(self._rows), len(columns)))
+        right[own.coords[0], place] = own.data
+        solved = self._solved(factors, right)
+        rows = np.repeat(self._rows, len(columns))
+        return rows, np.tile(columns, len(self._rows)), solved.ravel()
+
+    def _solved(self, factors: _Factors, right: np.ndarray) -> np.ndarray:
+        unit = self._unit.reshape(-1, *(1,) * (right.ndim - 1))
+        solution, _ = scipy.linalg.lapack.sgetrs(*factors, np.asarray(right / unit, _PRECISION))
+        return np.asarray(unit * solution)
 
 
 def _independent(places: np.ndarray, mobility: np.ndarray, stiffness: Any) -> list[Any]:
@@ -98,71 +92,71 @@ def _independent(places: np.ndarray, mobility: np.ndarray, stiffness: Any) -> li
         component = np.tile(np.arange(6), len(places))
         inside = (component < 3) != (component % 3 == across[0])
         halves = np.flatnonzero(inside), np.flatnonzero(~inside)
-        pairs = [(m[halves[0]][:, halves[1]], m) for m in (mobility, stiffness)]
+        pairs = [(m[:, halves[1]][halves[0]], m) for m in (mobility, stiffness)]
         if all(abs(p).max() <= _ROUNDING * abs(m.diagonal()).max() for p, m in pairs):
             return list(halves)
     return [slice(None)]
 
 
-class Proxies:
-    """A few points along each piece, through which blocks feel the forces of each other.
+class Equations:
+    """The equations (1 - g A) x = r for one g.
 
     Parameters
     ----------
-    nodes : Nodes
-    places : (n, 3) ndarray
-        Of the nodes.
-    epsilons : (n,) ndarray
-        Blob sizes.
-    block : (n,) int ndarray
-        Of each node.
-    made : callable
-        Makes the mobility of the proxies from their blob sizes.
-    boundary : Boundary
+    g : float
+    blocks : list of Block
+    proxies : Proxies or None
+    unit : (n, 2, 3) ndarray
+        Of errors of the coordinates of nodes.
     """
 
     def __init__(
-        self,
-        nodes: Nodes,
-        places: np.ndarray,
-        epsilons: np.ndarray,
-        block: np.ndarray,
-        made: Callable[[np.ndarray], Mobility],
-        boundary: Boundary,
+        self, g: float, blocks: list[Block], proxies: Proxies | None, unit: np.ndarray
     ) -> None:
-        self._weights = _weights(nodes.piece)
-        self._held = nodes.held
-        _, first = np.unique(nodes.piece, return_index=True)
-        self.places = _smoothed(nodes.piece, places)
-        self._boundary = boundary
-        self._mobility = made(np.repeat(self._blobs(epsilons[first]), _PROXIES))
-        of_block = np.repeat(block[first], _PROXIES)
-        self._within = [
-            (rows, self._mobility.matrix(rows, self.places[rows], boundary))
-            for rows in (np.flatnonzero(of_block == b) for b in np.unique(of_block))
-        ]
+        self._g, self._blocks, self._proxies = g, blocks, proxies
+        self._factors = shared(lambda block: block.factors(g), blocks)
+        if proxies is not None:
 
-    def _blobs(self, epsilons: np.ndarray) -> np.ndarray:
-        """Return the blob size of the proxies of each piece, for those of its nodes.
+            def response(number: int) -> tuple[np.ndarray, ...]:
+                return blocks[number].responses(self._factors[number], proxies.rates)
 
-        About the distance between proxies, if that is larger: smaller blobs made the approximate
-        mobility of rods close to each other indefinite. They are powers of two apart, since each
-        size costs a sum.
+            found = zip(*shared(response, range(len(blocks))), strict=True)
+            rows, columns, values = map(np.concatenate, found)
+            self._responses = scipy.sparse.csr_array((values, (rows, columns)), proxies.rates.shape)
+            self._fed_back = proxies.forces @ self._responses
+            self._unit = unit[proxies.nearest, 0]
+
+    def solve(self, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
+        """Return the solution in the frames of the nodes, (n, 2, 3), which have turned.
+
+        The unknowns are the velocities of the proxies by other blocks. The rest follows from them,
+        by responses: a few solutions of each block, made once.
         """
-        lines = self.places.reshape(-1, _PROXIES, 3)
-        steps = np.linalg.norm(np.diff(lines, axis=1), axis=2).max(axis=1)
-        sizes = np.maximum(epsilons, steps)
-        return np.asarray(sizes.max() * 2.0 ** np.round(np.log2(sizes / sizes.max())))
+        alone, proxies = self._alone(right), self._proxies
+        if proxies is None:
+            return alone
 
-    def velocities(self, forces: np.ndarray) -> np.ndarray:
-        """Return the velocities of nodes, (n, 3), by forces, (n, 3), of other blocks."""
-        pooled = self._weights.T @ forces
-        flow = self._mobility(self.places, pooled, self._boundary)
-        for rows, matrix in self._within:
-            flow[rows] -= (matrix @ pooled[rows].reshape(-1)).reshape(-1, 3)
-        velocities = self._weights @ flow
-        velocities[self._held] = 0.0
-        return np.asarray(velocities)
+        def flow(forces: np.ndarray) -> np.ndarray:
+            return proxies.velocities(turn, forces.reshape(-1, 3))
+
+        def applied(v: np.ndarray) -> np.ndarray:
+            return v - flow(self._g * (self._fed_back @ v.ravel()))
+
+        given = flow(proxies.forces @ alone.ravel())
+        v = krylov.solved(applied, given, self._unit, _RIGHT, _MOST)
+        return alone + self._g * (self._responses @ v.ravel()).reshape(alone.shape)
+
+    def _alone(self, right: np.ndarray) -> np.ndarray:
+        """Return the solution if blocks did not feel each other."""
+        flat, out = right.reshape(-1), np.empty(right.size)
+
+        def some(pieces: slice) -> None:
+            for block, own in zip(self._blocks[pieces], self._factors[pieces], strict=True):
+                block.solve(own, flat, out)
+
+        with Threads() as threads:
+            threads(some, len(self._blocks), least=_SHARE)
+        return out.reshape(right.shape)
 
 
 class Linearization:
@@ -200,7 +194,7 @@ class Linearization:
         rows = nodes.positions, nodes.triads
         self._rows = rows[0], rows[1] + len(state.positions)
         self._unit = unit
-        self._factors: dict[float, list[tuple[np.ndarray, ...]]] = {}
+        self._equations: dict[float, Equations] = {}
 
     def at(self, state: State) -> Placed:
         """Return it in the frames that nodes have in a state."""
@@ -211,7 +205,11 @@ class Linearization:
         """Return x with (1 - g A) x = right, (P + Q, 3), where nodes have turned."""
         if not np.isfinite(right).all():  # the step will be rejected
             return np.full_like(right, np.nan)
-        solved = self._solve(g, turn, self._inside(turn, right))
+        if g not in self._equations:
+            while len(self._equations) >= _KEPT:
+                del self._equations[next(iter(self._equations))]
+            self._equations[g] = Equations(g, self._blocks, self._proxies, self._unit)
+        solved = self._equations[g].solve(turn, self._inside(turn, right))
         return self._written(right.copy(), rotations.rotate(turn[:, None], solved))
 
     def product(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -230,48 +228,6 @@ class Linearization:
         """Return `out`, (P + Q, 3), with the rows of nodes, (n, 2, 3), written to it."""
         for rows, part in zip(self._rows, own.swapaxes(0, 1), strict=True):
             out[rows] = part
-        return out
-
-    def _solve(self, g: float, turn: np.ndarray, right: np.ndarray) -> np.ndarray:
-        """Return the solution in the frames of the nodes, (n, 2, 3).
-
-        Preconditioned from the left, so that residuals are errors of coordinates, not of rates.
-        """
-        alone = self._block_solve(g, right)
-        if self._proxies is None:
-            return alone
-
-        def applied(x: np.ndarray) -> np.ndarray:
-            return x - self._block_solve(g, g * self._coupling(turn, x))
-
-        return krylov.solved(applied, alone, self._unit, _RIGHT, _MOST)
-
-    def _block_solve(self, g: float, right: np.ndarray) -> np.ndarray:
-        flat, out, factors = right.reshape(-1), np.empty(right.size), self._factorised(g)
-
-        def some(pieces: slice) -> None:
-            for block, own in zip(self._blocks[pieces], factors[pieces], strict=True):
-                block.solve(own, flat, out)
-
-        with Threads() as threads:
-            threads(some, len(self._blocks), least=_SHARE)
-        return out.reshape(right.shape)
-
-    def _factorised(self, g: float) -> list[tuple[np.ndarray, ...]]:
-        """Return the factors of all blocks."""
-        if g not in self._factors:
-            while len(self._factors) >= _KEPT:
-                del self._factors[next(iter(self._factors))]
-            self._factors[g] = shared(lambda block: block.factors(g), self._blocks)
-        return self._factors[g]
-
-    def _coupling(self, turn: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return the rates of nodes that changes x of others cause, in the frames of nodes."""
-        assert self._proxies is not None
-        forces = (self._stiffness @ x.reshape(-1)).reshape(-1, 6)[:, :3]
-        velocities = self._proxies.velocities(rotations.rotate(turn, forces))
-        out = np.zeros_like(x)
-        out[:, 0] = rotations.rotate(rotations.conjugate(turn), velocities)
         return out
 
 
@@ -329,7 +285,7 @@ def linearized(
     places = nodes.positions, nodes.triads + len(state.positions)
     units = np.stack([np.tile(unit[rows], 3) for rows in places], axis=1)
     block = _blocks(nodes.piece, points, sizes)
-    groups = _pieces(block)
+    groups = gathered(block)
 
     def blocks_of(own: np.ndarray) -> list[Block]:
         matrix = mobility.matrix(nodes.points[own], points[own], boundary)
@@ -338,7 +294,7 @@ def linearized(
     blocks = list(chain.from_iterable(shared(blocks_of, groups)))
     proxies = None
     if made is not None and len(groups) > 1:
-        proxies = Proxies(nodes, points, sizes, block, made, boundary)
+        proxies = Proxies(nodes, points, sizes, block, stiffness, made, boundary)
     return Linearization(time, state, nodes, blocks, stiffness, proxies, units, motion)
 
 
@@ -398,44 +354,3 @@ def _blocks(piece: np.ndarray, places: np.ndarray, epsilons: np.ndarray) -> np.n
     group[alone] = group.max() + 1 + np.flatnonzero(alone)
     _, block = np.unique(group[piece], return_inverse=True)
     return np.asarray(block)
-
-
-def _weights(piece: np.ndarray) -> Any:
-    """Return the interpolation from proxies to nodes, (n, proxies), by their order in a piece."""
-    rows, columns, values = [], [], []
-    for number, own in enumerate(_pieces(piece)):
-        along = np.linspace(-1.0, 1.0, len(own)) if len(own) > 1 else np.zeros(1)
-        rows.append(np.repeat(own, _PROXIES))
-        columns.append(np.tile(np.arange(_PROXIES) + _PROXIES * number, len(own)))
-        values.append(_lagrange(along).ravel())
-    places = np.concatenate(rows), np.concatenate(columns)
-    return scipy.sparse.csr_array((np.concatenate(values), places))
-
-
-def _smoothed(piece: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return the places of proxies on the lines through the nodes of each piece."""
-    out = []
-    for own in _pieces(piece):
-        along = np.linspace(-1.0, 1.0, len(own)) if len(own) > 1 else np.zeros(1)
-        out.append([np.interp(_chebyshev(), along, axis) for axis in places[own].T])
-    return np.ascontiguousarray(np.transpose(out, (0, 2, 1)).reshape(-1, 3))
-
-
-def _pieces(piece: np.ndarray) -> list[np.ndarray]:
-    """Return the nodes of each piece."""
-    return np.split(np.argsort(piece, kind="stable"), np.cumsum(np.bincount(piece))[:-1])
-
-
-def _chebyshev() -> np.ndarray:
-    """Return the points of Gauss and Chebyshev in increasing order."""
-    return -np.cos(np.pi * (np.arange(_PROXIES) + 0.5) / _PROXIES)
-
-
-def _lagrange(along: np.ndarray) -> np.ndarray:
-    """Return the polynomials that are 1 at one Chebyshev point each, (n, proxies)."""
-    points = _chebyshev()
-    values = np.ones((len(along), _PROXIES))
-    for j, point in enumerate(points):
-        for other in np.delete(points, j):
-            values[:, j] *= (along - other) / (point - other)
-    return values

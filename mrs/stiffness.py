@@ -27,6 +27,31 @@ class Stiffness(NamedTuple):
     pieces: np.ndarray
 
 
+class Nodes(NamedTuple):
+    """The nodes of all stiff bodies: where they are in the flat arrays.
+
+    Attributes
+    ----------
+    points, positions, triads : (n,) int ndarray
+        Rows.
+    held : (n,) bool ndarray
+        Whether the motion of a node does not follow from that of the fluid.
+    piece : (n,) int ndarray
+        Numbered through all bodies.
+    """
+
+    points: np.ndarray
+    positions: np.ndarray
+    triads: np.ndarray
+    held: np.ndarray
+    piece: np.ndarray
+
+
+def gathered(numbers: np.ndarray) -> list[np.ndarray]:
+    """Return the places of each number from 0, in their order."""
+    return np.split(np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers))[:-1])
+
+
 def assembled(rows: np.ndarray, columns: np.ndarray, blocks: np.ndarray, count: int) -> Any:
     """Return a matrix of blocks, those of one place added up.
 

@@ -164,9 +164,10 @@ ALLOWED = {
     "mrs.rigid_motion": {"mrs.rotations"},
     "mrs.stiffness": set(),
     "mrs.krylov": set(),
+    "mrs.proxies": {"mrs.fluid", "mrs.rotations", "mrs.stiffness"},
     "mrs.linearization": {
-        "mrs.bodies.layout", "mrs.fluid", "mrs.krylov", "mrs.rotations", "mrs.stiffness",
-        "mrs.time",
+        "mrs.bodies.layout", "mrs.fluid", "mrs.krylov", "mrs.proxies", "mrs.rotations",
+        "mrs.stiffness", "mrs.time", "treecode.threads",
     },
     "mrs.resistance_matrix": {
         "mrs.bodies", "mrs.check", "mrs.fluid", "mrs.rigid_motion", "mrs.scene",

@@ -330,7 +330,8 @@ class Stepper:
             raise causes[0]
         self.rejections += 1
         self.memory = taken.again or self.memory
-        self.h = self._next(h, ratio, taken._replace(growth=None), h)
+        growth = None if taken.converged else taken.growth
+        self.h = self._next(h, ratio, taken._replace(growth=growth), h)
         if self.h < _SMALLEST * interval:
             raise causes[0] if causes else StepSizeError(h)
 

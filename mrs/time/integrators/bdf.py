@@ -25,8 +25,9 @@ _ENOUGH = 0.2 * _SHARE  # error that corrections may leave, in tolerances
 _DIVERGENT = 2.0  # ratio of two corrections from which there is no hope
 _LEAST_RATE, _LARGEST_RATE = 1e-3, 0.9  # of ratios that are taken for the rate of convergence
 _MEASURED = 5  # steps after which the ratio of two corrections is measured again
-_OLD, _SLOW = 2.0, 0.1  # a Jacobian is renewed when this ratio has grown so much, and beyond that
+_OLD, _SLOW = 2.0, 0.2  # a Jacobian is renewed when this ratio has grown so much, and beyond that
 _KRYLOV = 20  # steps with iterations over sums, where corrections alone do not converge
+_SHORTER = 0.5  # a step is tried, before these iterations are
 _RIGHT, _ITERATIONS = 0.1, 8  # relative residual of these iterations, and how many at most
 _CHANGED = 1.7  # of g = h / d0, from which the equations are factorised again
 _SAFETY, _GROWTH = 0.85, 2.0
@@ -55,6 +56,8 @@ class _Memory:
         Steps since the ratio was measured.
     krylov : int
         Steps to be taken with iterations over sums.
+    failed : int
+        Tries since the last step in which corrections did not converge.
     """
 
     times: np.ndarray
@@ -71,13 +74,14 @@ class _Memory:
     best: float
     age: int
     krylov: int
+    failed: int
 
     @classmethod
     def begun(cls, t: float, state: State) -> _Memory:
         """Return the memory of a first step."""
         places, triads = state
         return cls(
-            np.array([t]), places[None], triads[None], 1, 0, 1, t, *state, 0.0, 0.0, 0.0, 0, 0
+            np.array([t]), places[None], triads[None], 1, 0, 1, t, *state, 0.0, 0.0, 0.0, 0, 0, 0
         )
 
     @property
@@ -176,7 +180,8 @@ class BackwardDifferentiation:
         past = _remembered(memory, t, problem.state)
         solved = self._solved(problem, t, h, past)
         if solved is None:  # with a new Jacobian too
-            return Step(z, converged=False)
+            again = replace(past, failed=past.failed + 1, rate=0.0)
+            return Step(z, converged=False, again=again.arrays(), growth=_SHORTER)
         return self._judged(problem, t + h, *solved)
 
     def _solved(
@@ -211,7 +216,7 @@ class BackwardDifferentiation:
                 return *done, history
             if not fresh:
                 fresh, past = True, replace(_renewed(past, ahead, there), rate=0.0)
-            elif not past.krylov:
+            elif past.failed and not past.krylov:
                 past = replace(past, krylov=_KRYLOV, rate=0.0)
             else:
                 break
@@ -278,6 +283,7 @@ def _advanced(past: _Memory, ahead: float, state: State, order: int, since: int)
         since=since,
         used=past.order,
         krylov=max(0, past.krylov - 1),
+        failed=0,
     )
 
 
