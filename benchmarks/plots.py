@@ -21,6 +21,7 @@ COLORS = {
     "rk4": "#0072B2",
     "bs32": "#009E73",
     "rkc2": "#D55E00",
+    "bdf": "#CC79A7",
 }
 NAMES = {"fmm3d": "FMM3D (singular)"}
 PAPERS = {"marker": "*", "markersize": 11, "markerfacecolor": "none", "linestyle": "none"}

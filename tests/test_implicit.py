@@ -318,6 +318,13 @@ def test_rods_that_stretch_a_thousand_times_less():
     assert steps[1] < 2 * steps[0]
 
 
+def test_a_rod_that_hardly_stretches():
+    """Where corrections fail steps become shorter: explicit ones would take thousands of sums."""
+    sim = simulation(rods(count=1, base="clamped", stretching=3e7)).run(0.1)
+    assert sim.stepper.method.name == "bdf"
+    assert sim.scene.evaluations < 1000
+
+
 def test_swimmers_are_not_stiff():
     """Accuracy limits their steps: the explicit method of third order."""
     swimmers = mrs.Swimmers(

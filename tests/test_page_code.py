@@ -28,6 +28,12 @@ BEFORE = {
 }
 # page: what stands there, and what takes its place; each must be there
 SMALLER = {
+    "docs/pictures.md": {
+        "--output film.mp4 ": "--output film.mp4 --frame 0:3 --size 320,240",
+        "film.gif --frame 10:60:2": "film.gif --frame 10:14:2 --size 320,240",
+        "--size 2400,1500": "--size 240,150",
+        "--resolution 60": "--resolution 6",
+    },
     "README.md": {
         "--set count=300": "--set count=20 --quick --set t_end=0.1",
         "--t-end 20": "--t-end 0.2",

@@ -1,8 +1,8 @@
 """Time stepping: error at a fixed time against wall time
 
 Four scenes with direct sums on one thread: the stiff rod of Olson, Lim & Cortez after 10 ms, a
-planar wave along a rod of 301 nodes over a wall after a period, 60 swimmers that meet after 2 s,
-and nine beating cilia after a quarter of a beat. Methods without an error estimate have fixed
+planar wave along a rod of 301 nodes over a wall after a period, 60 swimmers in a periodic box
+after 2 s, and nine beating cilia after a quarter of a beat. Methods without an error estimate have fixed
 steps, the others tolerances. The error is the root mean square distance of points from those of an
 explicit run with much smaller steps, in lengths of a body.
 """
@@ -154,12 +154,11 @@ def _line(row: Row) -> list[str]:
 def plot(rows: list[Row], figure: Any) -> None:
     """Draw error against seconds, a panel for each scene."""
     groups = [(name, list(group)) for name, group in groupby(rows, key=lambda row: row["scene"])]
-    figure.set_size_inches(plots.WIDTH, 4.5)
-    panels = figure.subplots(1, len(groups), squeeze=False)[0]
-    for axes, (name, mine) in zip(panels, groups, strict=True):
+    figure.set_size_inches(plots.WIDTH, 8.0)
+    panels = figure.subplots(2, 2).ravel()
+    for axes, (name, mine) in zip(panels, groups, strict=False):
         for style, method in enumerate(METHODS):
             line = [row for row in mine if row["method"] == method]
             plots.line(axes, line, "error", "seconds", method, method, style)
-        axes.set(xscale="log", yscale="log", title=name, xlabel="error")
-    panels[0].set(ylabel="seconds")
+        axes.set(xscale="log", yscale="log", title=name, xlabel="error", ylabel="seconds")
     plots.finish(figure, columns=len(METHODS))

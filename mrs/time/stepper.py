@@ -27,7 +27,7 @@ _MEMORY = "memory/"  # before the names of arrays that a method remembers
 AUTO = "auto"
 _IMPLICIT, _STIFF, _NOT_STIFF = "bdf", "rkc2", "bs32"  # that "auto" chooses from
 _FAILED = 3.0  # tries, after which another method is taken
-_FORGIVEN = 0.2  # of them, for each step that succeeds
+_FORGIVEN = 0.5  # of them, for each step that succeeds
 # Of the stepper, with the state of the method all on which the next step depends.
 _REMEMBERED = (
     "h",

@@ -244,8 +244,8 @@ class BackwardDifferentiation:
             h = ahead - past.times[0]
             error = 0.5 * (new - history[0] - h * problem.rates)
             wanted = _growth(problem.size(error) / _SHARE, order)
-        if 1.0 <= wanted < _WORTH:
-            wanted = 1.0
+        if 1.0 <= wanted < _WORTH or past.failed:
+            wanted = min(wanted, 1.0)
         memory = _advanced(past, ahead, problem.state.moved(new), best, since)
         return Step(
             new,
