@@ -28,6 +28,10 @@ class Drag(NamedTuple):
         def motion(mobility, points, loads, boundary):
             return loads * np.repeat(self, 3)[: loads.shape[1]]
 
+        def matrix(mobility, rows, places, boundary):
+            width = 6 if mobility._torqued[rows].any() else 3
+            return np.diag(np.tile(np.repeat(self, 3)[:width], len(rows)))
+
         def velocity(mobility, points, loads, targets, boundary):
             return np.zeros_like(targets)
 
@@ -35,6 +39,7 @@ class Drag(NamedTuple):
             return np.eye(points.size) / self.velocity
 
         monkeypatch.setattr(mobility, "__call__", motion)
+        monkeypatch.setattr(mobility, "matrix", matrix)
         monkeypatch.setattr(mobility, "velocity", velocity)
         monkeypatch.setattr(blocks, "_inverse", inverse)  # where forces follow from velocities
 

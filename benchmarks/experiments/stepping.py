@@ -2,9 +2,9 @@
 
 Four scenes with direct sums on one thread: the stiff rod of Olson, Lim & Cortez after 10 ms, a
 planar wave along a rod of 301 nodes over a wall after a period, 60 swimmers in a periodic box
-after 2 s, and nine beating cilia after a quarter of a beat. Methods without an error estimate have fixed
-steps, the others tolerances. The error is the root mean square distance of points from those of an
-explicit run with much smaller steps, in lengths of a body.
+after 2 s, and nine beating cilia after a quarter of a beat. Methods without an error estimate have
+fixed steps, the others tolerances. The error is the root mean square distance of points from those
+of an explicit run with much smaller steps, in lengths of a body.
 """
 
 from __future__ import annotations
