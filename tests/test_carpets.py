@@ -67,7 +67,7 @@ def test_the_flux_of_a_carpet_per_area_converges_with_its_size():
 
 def swimming_speed(height, nodes):
     """Return the mean speed of the rod against its wave over the first beat."""
-    rod = RodAboveWall(height=height, nodes=nodes, epsilon=2.0, integrator={"tolerance": 1e-3})
+    rod = RodAboveWall(height=height, nodes=nodes, epsilon=2.0, integrator={"tolerance": 1e-4})
     return -rod.simulation().run(rod.period).state.positions[:, 0].mean() / rod.period
 
 
