@@ -22,7 +22,8 @@ from mrs.stiffness import Nodes, Stiffness, gathered
 from mrs.time.state import State
 from treecode.threads import Threads, shared
 
-LONGEST = 500  # nodes of a piece: factors of longer ones cost more than the sums they save
+_LONGEST = 500  # nodes of a piece: factors of longer ones cost more than the sums they save
+_MEMORY = 4 * 2**30  # bytes of all matrices
 _LARGEST = 400  # nodes of pieces in one block: its matrix has 36 times the square of that
 _PRECISION = np.float32  # of factors
 _ROUNDING = 1e-6  # of the largest entry, below which entries couple nothing
@@ -31,6 +32,13 @@ _SHARE = 8  # blocks at least that a thread takes, of which it solves the equati
 _Factors: TypeAlias = tuple[np.ndarray, ...]
 _RIGHT = 1e-2  # relative residual of solutions
 _MOST = 12  # iterations
+
+
+def is_worthwhile(lengths: np.ndarray) -> bool:
+    """Return whether matrices of pieces of so many nodes are worth their time and memory."""
+    elements = 36.0 * np.square(lengths, dtype=float).sum() * (1 + _KEPT)
+    needed = elements * np.dtype(_PRECISION).itemsize
+    return bool(lengths.max(initial=0) <= _LONGEST and needed <= _MEMORY)
 
 
 class Block:

@@ -13,7 +13,7 @@ from mrs.bodies.layout import Layout
 from mrs.fluid import Backend, Fluid, Mobility, Periodic, Resistance
 from mrs.fluid.mobility import DIRECT, Boundary
 from mrs.forces import Force
-from mrs.linearization import LONGEST, Linearization, linearized
+from mrs.linearization import Linearization, is_worthwhile, linearized
 from mrs.profile import Profile
 from mrs.rigid_motion import carried, net_loads
 from mrs.time.state import Arrays, State
@@ -132,9 +132,8 @@ class Scene:
         self.resistance = self._resistance(comm) if len(layout.given) else None
         self._set_scales()
         smallest = self.epsilons[layout.has_force].min(initial=np.inf)
-        stiff = [body for body in self.bodies if body.is_stiff]
-        longest = max((np.bincount(body.pieces()).max() for body in stiff), default=0)
-        self.is_stiff = bool(stiff) and not layout.noisy and longest <= LONGEST
+        stiff = [np.bincount(body.pieces()) for body in self.bodies if body.is_stiff]
+        self.is_stiff = bool(stiff) and not layout.noisy and is_worthwhile(np.concatenate(stiff))
         self.longest_step = layout.longest_step(smallest)
         layout.mounted(0.0, layout.initial)  # refuses bodies that are not there
         self._require_inside(layout.initial_points, 0.0)

@@ -341,6 +341,13 @@ def test_very_long_rods_take_explicit_steps(nodes):
     assert simulation(rod).scene.is_stiff == (nodes == 500)
 
 
+def test_too_many_rods_take_explicit_steps(monkeypatch):
+    """Each has a matrix and two factorisations of 78 x 78 singles: 73,008 bytes."""
+    monkeypatch.setattr("mrs.linearization._MEMORY", 5 * 73_008)
+    assert simulation(rods(count=5)).scene.is_stiff
+    assert not simulation(rods(count=6)).scene.is_stiff
+
+
 def test_logarithm_is_the_inverse_of_the_exponential():
     phi = np.random.default_rng(0).normal(size=(50, 3))
     phi *= np.linspace(0.0, 3.1, 50)[:, None] / np.linalg.norm(phi, axis=1)[:, None]
