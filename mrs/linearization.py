@@ -29,9 +29,10 @@ _PRECISION = np.float32  # of factors
 _ROUNDING = 1e-6  # of the largest entry, below which entries couple nothing
 _KEPT = 2  # factorisations
 _SHARE = 8  # blocks at least that a thread takes, of which it solves the equations
-_Factors: TypeAlias = tuple[np.ndarray, ...]
 _RIGHT = 1e-2  # relative residual of solutions
 _MOST = 12  # iterations
+
+_Factors: TypeAlias = tuple[np.ndarray, ...]
 
 
 def is_worthwhile(lengths: np.ndarray) -> bool:
@@ -95,7 +96,8 @@ def _independent(places: np.ndarray, mobility: np.ndarray, stiffness: Any) -> li
     Nodes in a plane across an axis move in it and turn about that axis as if that were all. Then
     there are two, and their factors take a quarter of the time.
     """
-    across = np.flatnonzero(np.ptp(places, axis=0) <= _ROUNDING * np.ptp(places))
+    extents = np.ptp(places, axis=0)
+    across = np.flatnonzero(extents <= _ROUNDING * extents.max())
     if len(across):
         component = np.tile(np.arange(6), len(places))
         inside = (component < 3) != (component % 3 == across[0])
@@ -292,21 +294,21 @@ def linearized(
     sizes = epsilons[nodes.points]
     places = nodes.positions, nodes.triads + len(state.positions)
     units = np.stack([np.tile(unit[rows], 3) for rows in places], axis=1)
-    block = _blocks(nodes.piece, points, sizes)
+    block = _grouped(nodes.piece, points, sizes)
     groups = gathered(block)
 
-    def blocks_of(own: np.ndarray) -> list[Block]:
+    def made_of(own: np.ndarray) -> list[Block]:
         matrix = mobility.matrix(nodes.points[own], points[own], boundary)
-        return _alone(own, nodes, points, matrix, stiffness, units.ravel())
+        return _blocks_of(own, nodes, points, matrix, stiffness, units.ravel())
 
-    blocks = list(chain.from_iterable(shared(blocks_of, groups)))
+    blocks = list(chain.from_iterable(shared(made_of, groups)))
     proxies = None
     if made is not None and len(groups) > 1:
         proxies = Proxies(nodes, points, sizes, block, stiffness, made, boundary)
     return Linearization(time, state, nodes, blocks, stiffness, proxies, units, motion)
 
 
-def _alone(
+def _blocks_of(
     own: np.ndarray,
     nodes: Nodes,
     points: np.ndarray,
@@ -346,7 +348,7 @@ def _stiff(layout: Layout, time: float, state: State) -> tuple[Nodes, Any] | Non
     return nodes, scipy.sparse.block_diag(matrices, format="csr")
 
 
-def _blocks(piece: np.ndarray, places: np.ndarray, epsilons: np.ndarray) -> np.ndarray:
+def _grouped(piece: np.ndarray, places: np.ndarray, epsilons: np.ndarray) -> np.ndarray:
     """Return the block of each node: pieces with nodes closer than a blob are in one."""
     tree = scipy.spatial.cKDTree(places)
     first, second = tree.query_pairs(float(epsilons.max()), output_type="ndarray").T

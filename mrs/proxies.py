@@ -38,7 +38,7 @@ class Proxies:
     ----------
     forces : (3 P, 6 n) scipy.sparse.csr_array
         Of P proxies, by changes of the coordinates of nodes.
-    rates : (6 n, 3 P) scipy.sparse.csc_array
+    rates : (6 n, 3 P) scipy.sparse.csr_array
         Of the coordinates of nodes, by the velocities of the proxies.
     nearest : (P,) int ndarray
         The node next to each.
@@ -57,7 +57,7 @@ class Proxies:
         weights, axes = _weights(nodes.piece), np.eye(3, 6)
         self.forces = (scipy.sparse.kron(weights.T, axes) @ stiffness).tocsr()
         free = scipy.sparse.diags_array(1.0 - nodes.held)
-        self.rates = scipy.sparse.kron(free @ weights, axes.T).tocsc()
+        self.rates = scipy.sparse.kron(free @ weights, axes.T).tocsr()
         self.nearest = _nearest(nodes.piece)
         first = np.unique(nodes.piece, return_index=True)[1]
         self._places, self._boundary = _smoothed(nodes.piece, places), boundary

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import plots
 from benchmarks.__main__ import main
-from benchmarks.experiments import ALL
+from benchmarks.experiments import ALL, stepping
 from benchmarks.rows import Rows
 
 
@@ -57,6 +57,11 @@ def test_rows_of_another_machine_do_not_count(tmp_path, monkeypatch):
     again = Rows(tmp_path / "rows.json")
     assert again.find(zero, {"x": 1}) is None
     assert again.find(zero, {"x": 1}, anywhere=True) == rows.find(zero, {"x": 1})
+
+
+def test_every_integrator_has_a_colour():
+    """The short suite does not draw them all."""
+    assert set(stepping.METHODS) <= set(plots.COLORS)
 
 
 def test_envelope():

@@ -204,10 +204,10 @@ def test_any_rank_may_give_any_points(cut, on_ranks):
     kernel = tc.RegularizedStokesletRotlet(epsilon=0.02)
     rng = np.random.default_rng(4)
     points, strengths = rng.random((3000, 3)), rng.standard_normal((3000, 6))
-    options = {"tol": 1e-4, "leaf_size": LEAF}
+    options = {"tol": 1e-5, "leaf_size": LEAF}
     values, _ = distributed(on_ranks, kernel, points, None, strengths, [UNEVEN[cut]], **options)
     exact = tc.evaluate(kernel, points, strengths, backend="direct")
-    assert tc.relative_error(values, exact) < 1e-4
+    assert tc.relative_error(values, exact) < 1e-5
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, 7])
